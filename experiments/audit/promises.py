@@ -96,19 +96,26 @@ def _silences(run: Run, wanted: int, missing: list[tuple[int, int]]) -> Account:
 
 
 def _strangers(run: Run) -> Account:
-    """Whether a node that is out says nothing."""
+    """Whether a node that is out says nothing.
+
+    A process may die amid the step from which its node is out. In real time a node speaks on until
+    it hears that it is out; these words are counted.
+    """
     said, member = run.evidence, run.membership
-    estimates = (
+    words = [
         f"step {step}: estimate of node {node}"
         for step, node in sorted(said.estimates)
         if not member.is_in(node, step)
-    )
-    frames = (
-        f"cycle {cycle}: frame of node {node}"
-        for cycle, node in sorted(said.frames)
-        if not member.is_in(node, member.step_of(cycle))
-    )
-    return _account(len(said.estimates) + len(said.frames), [*estimates, *frames])
+    ]
+    for cycle, node in sorted(said.frames):
+        step = member.step_of(cycle)
+        dies_in_it = not member.is_in(node, step) and step > 0 and member.is_in(node, step - 1)
+        if not member.is_in(node, step) and not dies_in_it:
+            words.append(f"cycle {cycle}: frame of node {node}")
+    checked = len(said.estimates) + len(said.frames)
+    if said.in_real_time:
+        return Account(checked, 0, note=f"{len(words)} words of nodes that were out" * bool(words))
+    return _account(checked, words)
 
 
 def _once(run: Run) -> Account:
@@ -135,7 +142,8 @@ def _arrays(run: Run) -> Account:
     steps = min(run.complete, len(mean))
     broken = []
     for step, node in np.ndindex(steps, run.nodes):
-        said = run.evidence.estimates.get((step, node))
+        in_time = run.membership.is_in(node, step)
+        said = run.evidence.estimates.get((step, node)) if in_time else None
         shown = mean[step, node], cov[step, node][upper]
         if said is None:
             same = all(np.isnan(values).all() for values in shown)
@@ -196,11 +204,12 @@ def _counters(run: Run) -> Account:
 def _told(run: Run) -> Account:
     """Whether all members heard in a step of the changes that happened in it.
 
-    A node that joins is welcomed with its own return.
+    A node that joins is welcomed with its own return. Of a death all hear on a topic of its own.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
-        happened.setdefault(step, []).append(change)
+        if change["what"] != "gone":
+            happened.setdefault(step, []).append(change)
     broken = []
     for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
         for_node = [
@@ -224,10 +233,13 @@ def _turns(run: Run) -> Account:
         f"step {turn.step}: node {turn.node} {'joins' if turn.is_in else 'leaves'} twice"
         for turn in run.membership.repeated
     ]
+    told = set(run.evidence.given_up)
     out = {t.node for all_of in run.membership.turns.values() for t in all_of if not t.is_in}
+    dead = {change["node"] for _, change in run.evidence.events if change["what"] == "gone"}
+    broken += [f"`gone` to all names node {node}, and no event does" for node in sorted(told - out)]
     broken += [
-        f"`gone` to all names node {node}, and no event does"
-        for node in sorted(set(run.evidence.given_up) - out)
+        f"an event calls node {node} gone, and no `gone` to all does"
+        for node in sorted(dead - told)
     ]
     return _account(turns, broken)
 

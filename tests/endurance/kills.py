@@ -26,11 +26,13 @@ from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.commands import Restart, Speed
 from concord.nodes.tempo import Tempo
 from concord.runtime.network.network_file import read_network
+from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
 from tests.endurance.running import PROC, Running
+from tests.experiments.support import broken_promises
 
 NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6
@@ -198,7 +200,11 @@ def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
 
 
 def account(network: Network, trace: Trace) -> None:
-    """Where the estimates and shares are that were not recorded, and whether all agree."""
+    """Where the estimates and shares are that were not recorded, whether all agree, and what
+    `concord audit` finds."""
+    finish_recording(network.folder / "run.mcap")
+    broken = broken_promises(network.setup, network.folder)
+    say("\n".join([f"  audit: {len(broken)} promises broken", *broken]))
     changes = Counter(
         msgspec.json.decode(data)["change"]["what"]
         for topic, data in network.recorded()

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from concord.experiments.audit.report import audit
+from concord.experiments.results.folder import describe, write_arrays
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.recording import read_recording
 from concord.scenarios.catalogue import definition_named
@@ -23,3 +25,11 @@ def small(name: str = "oscillator", **changes) -> Setup:
 def trace_of(setup: Setup, recording: Path) -> Trace:
     """The arrays of a recording."""
     return read_trace(setup, read_recording(recording))
+
+
+def broken_promises(setup: Setup, folder: Path) -> list[str]:
+    """Write the arrays of the recording in a folder; return the promises that its audit finds
+    broken, with the first case of each."""
+    write_arrays(folder, describe("test", "processes", setup), trace_of(setup, folder / "run.mcap"))
+    found = audit(folder).findings
+    return [f"{one.says}: {account.first}" for one, account in found if account.broken]

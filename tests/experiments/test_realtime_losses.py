@@ -22,7 +22,7 @@ from concord.scenarios.build import build_environment
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
 from tests.endurance.running import Running
-from tests.experiments.support import small, trace_of
+from tests.experiments.support import broken_promises, small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
 pytestmark = [
@@ -51,6 +51,7 @@ class Played:
         self.setup, self.messages = setup, messages
         self.trace: Trace = trace_of(setup, folder / "run.mcap")
         self.figures: TimingFigures = figures_of(slow_tempo(setup), messages, self.trace.counters)
+        assert broken_promises(setup, folder) == []
 
     def told(self, kind: str) -> list:
         """Messages of a topic, in the order in which they were recorded."""
