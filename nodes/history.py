@@ -93,15 +93,17 @@ def with_event(history: History, event: Event) -> History:
 
 
 def with_holes(
-    history: History, recorded: Container[tuple[int, int]], last: dict[int, int]
+    history: History, recorded: Container[tuple[int, int]], nodes: int, steps: int
 ) -> History:
-    """The history in which a node takes no part in a step of which the recording has lost what it
-    said, though it has something later: in real time what is late is lost. `last` is the latest
-    step of each node, `recorded` every (step, node)."""
+    """The history in which a node takes no part in a step of which the recording has nothing of it.
+
+    In real time what is late is lost, and a node that falls behind holds up no other. `recorded` is
+    every (step, node), of so many nodes and steps.
+    """
     holes = tuple(
         AbsentSteps(node, step, step + 1)
-        for node, latest in last.items()
-        for step in range(latest)
+        for node in range(nodes)
+        for step in range(steps)
         if (step, node) not in recorded and history.is_in(node, step)
     )
     return history._replace(absent_steps=history.absent_steps + holes)

@@ -13,6 +13,8 @@ from concord.scenarios.rules import is_set_valued
 
 _STEPS_AROUND = 10
 _RARE = 0.999
+# The recorder of a run whose environment is killed loses what is under way.
+_STEPS_CUT = 10
 
 
 class Join(NamedTuple):
@@ -74,18 +76,24 @@ def audit(folder: Path) -> AuditResult:
 
 
 def _complete(run: Run) -> int:
-    """Return the number of steps; the last one is left out where an end cut it."""
+    """Return the number of steps, without those that an early end has cut off."""
     said = run.evidence
     last = max(said.truths, default=-1)
-    estimated = max((step for step, _ in said.estimates), default=-1)
     if said.in_real_time:
-        return min(last, estimated) + 1
-    whole = all(
-        (last, node) in said.estimates
+        return min(last, max((step for step, _ in said.estimates), default=-1)) + 1
+    complete = last + 1
+    if complete < said.scenario.steps:
+        while complete > max(last - _STEPS_CUT, 0) and not _is_whole(run, complete - 1):
+            complete -= 1
+    return complete
+
+
+def _is_whole(run: Run, step: int) -> bool:
+    return all(
+        (step, node) in run.evidence.estimates
         for node in range(run.nodes)
-        if run.membership.is_in(node, last)
+        if run.membership.is_in(node, step)
     )
-    return last + 1 if whole else last
 
 
 def _joins(run: Run) -> list[Join]:

@@ -29,9 +29,11 @@ class Past(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Histories of a run of N nodes, cut to the `steps` that every participating node completed.
+    """Histories of a run of N nodes, cut to the `steps` that every participating node completed; in
+    real time to those that a node completed.
 
-    While a node was out, its entries are NaN, its ages -1, and it sent nothing.
+    While a node was out, its entries are NaN, its ages -1, and it sent nothing. So they are in real
+    time where its estimate was late.
 
     Attributes:
         truth: (steps, n), NaN where it is unknown. readings: (steps, N, r, d), NaN where a node
@@ -83,7 +85,6 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     asked: list[tuple[int, int, int]] = []
     classes: list[tuple[int, int, int]] = []
     events: list[Event] = []
-    last: dict[int, int] = {}
     timed, frames = False, frame_format(setup.scenario)
     for topic, data in messages:
         match meaning(topic, data, nodes, frames):
@@ -106,9 +107,9 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
                 timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
     # Only in real time does anybody go on without what was lost.
-    for step, node in estimates if timed else ():
-        last[node] = max(step, last.get(node, -1))
-    history = with_holes(history, estimates.keys() & measured.keys(), last)
+    if timed:
+        newest = max((step for step, _ in estimates), default=-1)
+        history = with_holes(history, estimates.keys() & measured.keys(), nodes, newest + 1)
     steps = 0
     while steps in truths and all(
         (steps, node) in kept
