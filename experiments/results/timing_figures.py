@@ -24,7 +24,8 @@ class TimingFigures(msgspec.Struct, frozen=True):
     `cycles` are counted at each node. `deadline_misses` is the sum of two counts: `incomplete`
     cycles ended without an expected message, `overrun` cycles began after their own deadline.
     `late_shares` came after their cycle; `late_bids` came after the environment had granted the
-    slots. `lost_heartbeats` counts steps that began without readings. `cycle_jitter` is the
+    slots. `lost_heartbeats` counts steps that began without readings. `skips` counts how often a
+    node was far behind and left out the steps between. `cycle_jitter` is the
     lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the time from the
     sampling instant to the estimate.
     """
@@ -41,6 +42,7 @@ class TimingFigures(msgspec.Struct, frozen=True):
     cycle_jitter: TimingSpread
     heartbeat: TimingSpread
     lost_heartbeats: int
+    skips: int
     delay: TimingSpread
 
 
@@ -69,6 +71,7 @@ def figures_of(
         cycle_jitter=_spread(late),
         heartbeat=_spread(came),
         lost_heartbeats=len(said) - len(came),
+        skips=sum(c.get("skipped ahead", 0) for c in counters),
         delay=_spread([timing.delay_s for timing in said]),
     )
 
@@ -86,7 +89,7 @@ def lines(figures: TimingFigures) -> list[str]:
         f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
         f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
         f"late shares {figures.late_shares}, bids {figures.late_bids}; steps without readings "
-        f"{figures.lost_heartbeats}",
+        f"{figures.lost_heartbeats}; skips of nodes far behind {figures.skips}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
         f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)}",
     ]

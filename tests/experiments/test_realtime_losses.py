@@ -47,10 +47,17 @@ def slow_tempo(setup: Setup) -> Tempo:
 class Played:
     """A network in real time that has ended: what was told, and what it amounts to."""
 
-    def __init__(self, setup: Setup, folder: Path, messages: list[tuple[str, bytes]]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        folder: Path,
+        messages: list[tuple[str, bytes]],
+        tempo: Tempo | None = None,
+    ) -> None:
         self.setup, self.messages = setup, messages
         self.trace: Trace = trace_of(setup, folder / "run.mcap")
-        self.figures: TimingFigures = figures_of(slow_tempo(setup), messages, self.trace.counters)
+        kept = tempo or slow_tempo(setup)
+        self.figures: TimingFigures = figures_of(kept, messages, self.trace.counters)
         assert broken_promises(setup, folder) == []
 
     def told(self, kind: str) -> list:
@@ -74,9 +81,9 @@ class Played:
 
 
 @contextmanager
-def playing(setup: Setup, folder: Path) -> Iterator[Running]:
+def playing(setup: Setup, folder: Path, tempo: Tempo | None = None) -> Iterator[Running]:
     """A network in real time; it must come to its end by itself."""
-    network = Running(setup, "realtime", folder, tempo=slow_tempo(setup))
+    network = Running(setup, "realtime", folder, tempo=tempo or slow_tempo(setup))
     try:
         yield network
     finally:
@@ -241,3 +248,25 @@ def test_who_is_stopped_for_longer_than_the_lease_is_let_in_again_by_itself(tmp_
     out = np.isnan(played.trace.mean[:, :, 0])
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(gone, joined))
     assert not np.delete(out, STRUCK, axis=1).any()
+
+
+def test_who_falls_far_behind_skips_ahead_and_estimates_the_present(tmp_path: Path):
+    """It stands still for 1.5 s, below the lease: fifteen steps of the faster timetable here."""
+    setup = small(nodes=5, graph="ring", steps=80)
+    tempo = tempo_of(setup, None)
+    with playing(setup, tmp_path, tempo) as network:
+        assert reaches(network, 10)
+        pid = network.pids[str(STRUCK)]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(HANG_S)
+        os.kill(pid, signal.SIGCONT)
+    assert 10 * tempo.step_s <= 1.0 < HANG_S
+    played = Played(setup, tmp_path, network.recorded(), tempo)
+    assert played.figures.skips >= 1
+    first = played.step_of(Gone)[0]
+    [joined, *_] = [step for step in played.step_of(Joined) if step > first]
+    # It takes no part in the steps between, and works off none of them.
+    assert joined - first > 5
+    said = {one.step for one in played.told("timing") if one.node == STRUCK}
+    assert not said & set(range(first + 2, joined))
+    assert not np.isnan(played.trace.mean[joined, STRUCK]).any()

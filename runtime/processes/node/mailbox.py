@@ -43,6 +43,12 @@ class Mailbox:
         """
         return self._queue.get_nowait()
 
+    def clear(self) -> None:
+        """Drop the messages that are there already."""
+        with suppress(Empty):
+            for _ in range(self._queue.qsize()):
+                self._queue.get_nowait()
+
     def waiting(self) -> int:
         """The number of messages that are there already."""
         return self._queue.qsize()

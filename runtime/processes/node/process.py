@@ -18,7 +18,7 @@ from concord.runtime.processes.node.membership import Membership
 
 
 class GivenUp(Exception):
-    """The environment has given this node up, and the others go on without it."""
+    """The others go on without this node: the environment has given it up, or it is far behind."""
 
 
 class NodePacing(Protocol):

@@ -36,19 +36,23 @@ from concord.runtime.processes.node.entry import await_links
 from concord.runtime.processes.node.heartbeats import Heartbeats
 from concord.runtime.processes.node.mailbox import Mailbox
 from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.process import GivenUp
 from concord.runtime.processes.node.start_time import StartTime
+from concord.runtime.processes.node.timetable import NodeTimetable
 from concord.runtime.processes.node.timing_records import TimingRecords
 from concord.runtime.processes.peer_timeout import PeerTimeout
 
-# A node that asks to be let in again does not ask twice in this time.
-_ASK_AGAIN_S = 1.0
+# A node that asks to be let in again does not ask twice in this time; one that waits for the answer
+# asks again only where the link has lost it.
+_ASK_AGAIN_S, _ANSWER_S = 1.0, 5.0
+_SKIPPED = "skipped ahead"
 
 
 class RealTimeNode:
     """Paces a node by the clock: what does not come in time is missed."""
 
     def __init__(self, membership: Membership, tempo: Tempo) -> None:
-        self._membership, self._tempo = membership, tempo
+        self._membership, self._timetable = membership, NodeTimetable(tempo)
         self._index = membership.config.index
         self._heartbeats = Heartbeats()
         self._records = TimingRecords(tempo.cycle_s)
@@ -56,7 +60,7 @@ class RealTimeNode:
         self._is_over, self._in_time = False, 0
         self._counted: list[str] = []
         self._late_welcomes: list[Welcome] = []
-        self._start_s = self._asked_s = 0.0
+        self._asked_s, self._skips = 0.0, 0
         self._first_step = 0
         self._cycle_of = membership.config.bus.frame_format.cycle_of
         self.transport = Transport(membership.run, membership.links, [], 1)
@@ -82,12 +86,15 @@ class RealTimeNode:
         begun = await_links(self.transport, self._membership.peers)
         self._start.compare_clocks()
         self.say_hello()
+        self._asked_s = time.monotonic()
         config = self.configured(self._membership.config)
         if not begun:
             return config, state_machine.initial_state(config)
         welcome = self._await_welcome()
         config, state = node_changes.begin_late(config, welcome)
         self._first_step = welcome.step
+        # The totals of a life begin anew, but for this one.
+        self._counted += [_SKIPPED] * self._skips
         # Up to now the environment process said that this node is out.
         self._asked_s = time.monotonic()
         return self.configured(config), state
@@ -95,21 +102,29 @@ class RealTimeNode:
     def _await_welcome(self) -> Welcome:
         while True:
             name, data = self._mailbox.get()
+            if name == f"gone/{self._index}":
+                self._ask_to_be_let_in(_ANSWER_S)
             if name.startswith("welcome/"):
                 with suppress(MalformedMessage):
                     return decode(name, data)
 
     def begin(self) -> None:
-        """Wait for the common start."""
-        self._start_s = self._start.wait()
+        """Wait for the common start, which a node that has skipped ahead knows."""
+        self._timetable.start_s = self._timetable.start_s or self._start.wait()
 
     def next_events(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
-        """Wait for a message, or until the time of the heartbeat or the open group is over."""
+        """Wait for a message, or until the time of the heartbeat or the open group is over.
+
+        Raises:
+            GivenUp: the node is far behind, and has to enter again.
+        """
+        if self._timetable.is_far_behind(state.step + 1):
+            self._skip_ahead()
         if state.phase is Phase.MEASUREMENT:
             return self._await_heartbeat(config, state)
         if not self._is_over:
             with suppress(Empty):
-                left_s = self._deadline_s(config, state) - self._now_s()
+                left_s = self._timetable.left_s(config, state)
                 return self._take(state, *self._mailbox.get_within(left_s))
             # Messages that are there already count, and no more: a flood must not hold a node up.
             self._is_over, self._in_time = True, self._mailbox.waiting()
@@ -121,6 +136,18 @@ class RealTimeNode:
         self._records.end_group(state.step, state.cycle, complete)
         return (CycleClosed(state.cycle, state.group),)
 
+    def _skip_ahead(self) -> None:
+        """Leave out the steps up to now, with all messages that wait.
+
+        Raises:
+            GivenUp: always.
+        """
+        self._skips += 1
+        self._mailbox.clear()
+        self._heartbeats, self._records = Heartbeats(), TimingRecords(self._timetable.tempo.cycle_s)
+        self._is_over, self._in_time = False, 0
+        raise GivenUp
+
     def _await_heartbeat(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
         """Wait for readings until the first cycle is over.
 
@@ -131,9 +158,9 @@ class RealTimeNode:
             return self._take(state, *self._mailbox.get())
         groups = len(config.schedule.groups(state.cycle))
         is_alone = self._heartbeats.was_blank(state.step)
-        wait_s = self._tempo.cycle_s / (2 * groups if is_alone else 1)
+        wait_s = self._timetable.tempo.cycle_s / (2 * groups if is_alone else 1)
         step = state.step + 1
-        left_s = self._tempo.step_begins_s(step) + wait_s - self._now_s()
+        left_s = wait_s - self._timetable.late_s(step)
         try:
             late = left_s <= 0
             came = self._mailbox.get_waiting() if late else self._mailbox.get_within(left_s)
@@ -145,12 +172,6 @@ class RealTimeNode:
         self._records.hear_heartbeat(step, None)
         self._counted.append("missed readings")
         return (self._heartbeats.blank(step),)
-
-    def _deadline_s(self, config: NodeConfig, state: NodeState) -> float:
-        """When the open group of the cycle ends, on the timetable."""
-        groups = len(config.schedule.groups(state.cycle))
-        cycle = (state.cycle - config.first_cycle) % config.rounds
-        return self._tempo.group_ends_s(state.step, cycle, state.group, groups)
 
     def _take(self, state: NodeState, name: str, data: bytes) -> Sequence[NodeEvent]:
         """Return the events that a message means to the node now."""
@@ -183,14 +204,13 @@ class RealTimeNode:
             return (event,)
         if not state_machine.fits(state, event):
             return (event,)
-        late_s = self._now_s() - self._tempo.step_begins_s(event.step)
-        self._records.hear_heartbeat(event.step, late_s)
+        self._records.hear_heartbeat(event.step, self._timetable.late_s(event.step))
         return (self._heartbeats.opening(event),)
 
-    def _ask_to_be_let_in(self) -> None:
+    def _ask_to_be_let_in(self, again_s: float = _ASK_AGAIN_S) -> None:
         """The others have given this node up, which has gone on by itself."""
         now_s = time.monotonic()
-        if now_s - self._asked_s > _ASK_AGAIN_S:
+        if now_s - self._asked_s > again_s:
             self._asked_s = now_s
             self.say_hello()
 
@@ -208,7 +228,7 @@ class RealTimeNode:
         for message in messages:
             if isinstance(message, Estimate):
                 # Before the estimate: with the last estimate the recorder has all.
-                delay_s = self._now_s() - self._tempo.step_begins_s(message.step)
+                delay_s = self._timetable.late_s(message.step)
                 timing = self._records.take(self._index, message.step, delay_s)
                 self.transport.offer(topic(timing), encode(timing))
             self.transport.offer(topic(message), encode(message))
@@ -221,14 +241,9 @@ class RealTimeNode:
         is_open = after.phase in (Phase.GRANT, Phase.SHARES)
         if is_open and (after.cycle, after.step) != (before.cycle, before.step):
             cycle = (after.cycle - config.first_cycle) % config.rounds
-            late_s = self._now_s() - self._tempo.cycle_begins_s(after.step, cycle)
-            self._records.begin_cycle(after.step, late_s)
+            self._records.begin_cycle(after.step, self._timetable.late_s(after.step, cycle))
 
     def leave(self) -> None:
         """Wait until the recorder has kept everything, and leave the network."""
         self._mailbox.ended.wait()
         self.transport.close()
-
-    def _now_s(self) -> float:
-        """The time on the timetable."""
-        return time.monotonic() - self._start_s

@@ -7,6 +7,8 @@ import msgspec
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.clock import EnvironmentClock, ahead_s
 
+_ASK_AGAIN_S = 1.0
+
 
 class StartTime:
     """Asks the environment process for the common start."""
@@ -26,8 +28,9 @@ class StartTime:
             clock = self._clock()
             if clock is not None and clock.start_s is not None:
                 return clock.start_s - self._ahead_s
-            # A node that is there from the beginning on hears the announcement.
-            self._announced.wait()
+            # A node that is there from the beginning on hears the announcement. Another one asks
+            # again: an answer may be lost on a busy machine.
+            self._announced.wait(_ASK_AGAIN_S)
             self._announced.clear()
 
     def _clock(self) -> EnvironmentClock | None:
