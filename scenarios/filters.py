@@ -14,6 +14,7 @@ from concord.filters.iterated import IteratedFilter
 from concord.filters.linalg import cholesky
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from concord.filters.square_root_filter import SquareRootFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.scenarios.types.filters import (
     CubatureFilter,
@@ -22,6 +23,8 @@ from concord.scenarios.types.filters import (
     LinearFilter,
     MaximumCorrentropy,
     PosteriorLinearisation,
+    SquareRootCubature,
+    SquareRootUnscented,
     TangentFilter,
     UnscentedFilter,
     UserFilter,
@@ -54,6 +57,10 @@ _FILTERS: dict[type[FilterBase], FilterEntry] = {
     UnscentedFilter: FilterEntry(lambda _, points: SigmaPointFilter(points)),
     CubatureFilter: FilterEntry(
         lambda _, points: SigmaPointFilter(cubature(points.unit_points.shape[1]))
+    ),
+    SquareRootUnscented: FilterEntry(lambda _, points: SquareRootFilter(points)),
+    SquareRootCubature: FilterEntry(
+        lambda _, points: SquareRootFilter(cubature(points.unit_points.shape[1]))
     ),
     TangentFilter: FilterEntry(lambda _, points: ExtendedFilter(), singular=True),
     LinearFilter: FilterEntry(

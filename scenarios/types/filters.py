@@ -19,6 +19,14 @@ class CubatureFilter(FilterBase, frozen=True, kw_only=True, tag="ckf"):
     """Cubature Kalman filter: sigma points of equal positive weights."""
 
 
+class SquareRootUnscented(FilterBase, frozen=True, kw_only=True, tag="srukf"):
+    """Unscented Kalman filter in square-root form: no difference of covariances."""
+
+
+class SquareRootCubature(FilterBase, frozen=True, kw_only=True, tag="srckf"):
+    """Cubature Kalman filter in square-root form: no difference of covariances."""
+
+
 class TangentFilter(FilterBase, frozen=True, kw_only=True, tag="ekf"):
     """Extended Kalman filter, with Jacobians by central differences."""
 
@@ -77,6 +85,8 @@ class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
 FilterChoice = (
     UnscentedFilter
     | CubatureFilter
+    | SquareRootUnscented
+    | SquareRootCubature
     | TangentFilter
     | LinearFilter
     | PosteriorLinearisation
