@@ -10,6 +10,7 @@ docs/results.md has the figures.
 """
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import smooth_with_lags
 from concord.nodes.rules.local_filter import (
     LocalFilters,
+    Memory,
     SensorGroup,
     predict_to_step,
     update_with_readings,
@@ -29,8 +31,16 @@ from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.rules import rule_of
 from concord.scenarios.setup import Setup
 
-BaselineStep = Callable[[Gaussian, int, np.ndarray, np.ndarray | None], Gaussian]
-"""(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
+
+class BaselineContent(NamedTuple):
+    """The belief of a baseline, and what its filter has learnt, one entry for each sensor."""
+
+    belief: Gaussian
+    memory: tuple[Memory | None, ...] = ()
+
+
+BaselineStep = Callable[[BaselineContent, int, np.ndarray, np.ndarray | None], BaselineContent]
+"""(content of the step before, step, readings (N, r, d), control (p,)) -> content of the step."""
 
 
 def centralised(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -> Gaussian:
@@ -108,11 +118,13 @@ def _all_alone(
     filters = LocalFilters(definition.model(scenario), (group,), filter_of(setup))
 
     def advance(
-        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
-    ) -> Gaussian:
+        content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> BaselineContent:
+        belief = content.belief
         if step > 0:
             belief, _ = filters.predict(belief, driven, step)
-        return filters.update(belief, delivered, step)[0]
+        found = filters.update(belief, delivered, step, content.memory)
+        return BaselineContent(found.belief, found.memory)
 
     prior = _priors(setup, runs)
     shape = (len(runs), scenario.nodes)
@@ -180,11 +192,12 @@ def _through(
     belief: Gaussian, advance: BaselineStep, readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
+    content = BaselineContent(belief)
     means, covs = [], []
     for step in range(readings.shape[1]):
-        belief = advance(belief, step, readings[:, step], _driven(control, step))
-        means.append(belief.mean)
-        covs.append(belief.cov)
+        content = advance(content, step, readings[:, step], _driven(control, step))
+        means.append(content.belief.mean)
+        covs.append(content.belief.cov)
     return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
 
 
@@ -203,7 +216,7 @@ def filters_step_by_step(setup: Setup) -> bool:
 def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     """One filter that takes the readings of these nodes, one step at a time.
 
-    Beliefs, readings and control may have leading axes, one entry a run.
+    Contents, readings and control may have leading axes, one entry a run.
     """
     scenario, own_filter = setup.scenario, filter_of(setup)
     definition = definition_of(scenario)
@@ -212,14 +225,19 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     sensors = [(node, sensor) for node, sensor in each if sensor is not None]
 
     def advance(
-        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
-    ) -> Gaussian:
+        content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> BaselineContent:
+        belief, before = content.belief, content.memory or (None,) * len(sensors)
+        memory: tuple[Memory | None, ...] = ()
         if step > 0:
             moved, sound = predict_to_step(belief, driven, step, model, own_filter)
             belief = where(sound, moved, belief)
-        for node, sensor in sensors:
+        for (node, sensor), known in zip(sensors, before, strict=True):
             readings = delivered[..., node, :, :]
-            belief, _ = update_with_readings(belief, readings, step, sensor, own_filter)
-        return belief
+            belief, learnt, _ = update_with_readings(
+                belief, readings, step, sensor, own_filter, known
+            )
+            memory += learnt
+        return BaselineContent(belief, memory)
 
     return advance
