@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.filters.smoother import smooth_with_lags
+from concord.filters.smoother import Backward, smooth, smooth_with_lags
 from concord.nodes.rules.local_filter import (
     LocalFilters,
     Memory,
@@ -72,20 +72,39 @@ def centralised_past(
     `filtered` is that of `centralised_of_runs`; control (R, steps, p). Returns mean (most + 1, R,
     steps, n) and covariance, NaN before the run.
     """
+    history = Gaussian(*(np.moveaxis(values, 1, 0) for values in filtered))
+    past = smooth_with_lags(history, _ways_back(setup, filtered, control), most)
+    return Gaussian(*(np.moveaxis(values, 1, 2) for values in past))
+
+
+def centralised_smoothed(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> Gaussian:
+    """The states of a whole run given all its readings, by one smoother that hears everything.
+
+    `filtered` (steps, n) is that of `centralised`; control (steps, p). The result has the same
+    shape.
+    """
+    lanes = Gaussian(*(values[None] for values in filtered))
+    driven = None if control is None else control[None]
+    return smooth(filtered, [_alone_way(way) for way in _ways_back(setup, lanes, driven)])
+
+
+def _alone_way(way: Backward) -> Backward:
+    return Backward(_alone(way.predicted), way.gain[0])
+
+
+def _ways_back(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> list[Backward]:
+    """The ways from each step of beliefs (R, steps, n) to the one before it."""
     model, own_filter = definition_of(setup.scenario).model(setup.scenario), filter_of(setup)
-    ways = [
+    return [
         way_back(
             Gaussian(filtered.mean[:, step - 1], filtered.cov[:, step - 1]),
-            _driven(control, step),
+            driven_into(control, step),
             step,
             model,
             own_filter,
         )
         for step in range(1, filtered.mean.shape[1])
     ]
-    history = Gaussian(*(np.moveaxis(values, 1, 0) for values in filtered))
-    past = smooth_with_lags(history, ways, most)
-    return Gaussian(*(np.moveaxis(values, 1, 2) for values in past))
 
 
 def local_only_of_runs(
@@ -126,7 +145,7 @@ def _all_alone(
         found = filters.update(belief, delivered, step, content.memory)
         return BaselineContent(found.belief, found.memory)
 
-    prior = _priors(setup, runs)
+    prior = priors_of_runs(setup, runs)
     shape = (len(runs), scenario.nodes)
     everywhere = Gaussian(
         np.broadcast_to(prior.mean[:, None], (*shape, *prior.mean.shape[1:])),
@@ -176,10 +195,10 @@ def _stepwise(
     readings: np.ndarray,
     control: np.ndarray | None,
 ) -> Gaussian:
-    return _through(_priors(setup, runs), advance, readings, control)
+    return _through(priors_of_runs(setup, runs), advance, readings, control)
 
 
-def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
+def priors_of_runs(setup: Setup, runs: Sequence[int]) -> Gaussian:
     """Where filters begin in the runs of these numbers: (R, n), (R, n, n)."""
     starts = [setup_of_run(setup, run) for run in runs]
     return Gaussian(
@@ -195,13 +214,13 @@ def _through(
     content = BaselineContent(belief)
     means, covs = [], []
     for step in range(readings.shape[1]):
-        content = advance(content, step, readings[:, step], _driven(control, step))
+        content = advance(content, step, readings[:, step], driven_into(control, step))
         means.append(content.belief.mean)
         covs.append(content.belief.cov)
     return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
 
 
-def _driven(control: np.ndarray | None, step: int) -> np.ndarray | None:
+def driven_into(control: np.ndarray | None, step: int) -> np.ndarray | None:
     """The control (R, p) into a step; None too where no node closed the loop yet."""
     driven = None if control is None else control[:, step]
     return None if driven is None or np.isnan(driven).all() else driven

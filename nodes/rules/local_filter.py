@@ -121,11 +121,7 @@ def update_with_readings(
         if np.isnan(delivered).all():
             continue
         interpreted = sensor.interpret(delivered)
-        if _learns(type(filter)):
-            learning = cast(LearningFilter[Any], filter)
-            result, memory = _learnt(belief, memory, interpreted, step, sensor, learning)
-        else:
-            result = update_with_reading(belief, interpreted, step, sensor, filter, sensor.gate)
+        result, memory = update_and_learn(belief, memory, interpreted, step, sensor, filter)
         sound = finite_lanes(result.belief)
         _count(failures, "update-failed", ~sound)
         if sensor.gate is not None:
@@ -134,19 +130,23 @@ def update_with_readings(
     return LocalUpdate(belief, (memory,), failures)
 
 
-def _learnt(
+def update_and_learn(
     belief: Gaussian,
     memory: Memory | None,
     interpreted: tuple[np.ndarray, np.ndarray],
     step: int,
     sensor: Sensor,
-    filter: LearningFilter[Any],
-) -> tuple[Update, Memory]:
-    """Beliefs (..., n) after one reading, unless it lies beyond the gate, and the memory after."""
+    filter: Filter,
+) -> tuple[Update, Memory | None]:
+    """Beliefs (..., n) after one reading through the gate of its sensor, and the memory after it;
+    None of a filter that learns nothing."""
+    if not _learns(type(filter)):
+        return update_with_reading(belief, interpreted, step, sensor, filter, sensor.gate), None
+    learning = cast(LearningFilter[Any], filter)
     value, noise_cov = interpreted
     if memory is None:
-        memory = Memory(value.shape, filter.begin(value.shape))
-    result, learnt = filter.update_and_learn(
+        memory = Memory(value.shape, learning.begin(value.shape))
+    result, learnt = learning.update_and_learn(
         belief,
         memory.learnt,
         value,
