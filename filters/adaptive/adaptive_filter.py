@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from concord.filters.adaptive.noise_law import Evidence, NoiseLaw
+from concord.filters.adaptive.noise_law import NoiseLaw, ReadingEvidence
 from concord.filters.adaptive.sage_husa import unexplained
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
@@ -80,7 +80,7 @@ class AdaptiveFilter(Generic[Memory]):
         # A channel without noise has no unit to learn in, and learns nothing.
         declared = np.where(declared > 0, declared, np.nan)
         deviation = np.sqrt(declared)
-        evidence = Evidence(
+        evidence = ReadingEvidence(
             found.innovation / deviation,
             np.diagonal(found.innovation_cov, axis1=-2, axis2=-1) / declared,
             left / deviation,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.noise_law import Evidence
+from concord.filters.adaptive.noise_law import ReadingEvidence
 from concord.filters.adaptive.sage_husa import UNBOUNDED, Bounds
 
 WINDOW = 30
@@ -89,7 +89,7 @@ class FuzzyMatching:
         """Variances learnt over those of the data sheet, (..., m)."""
         return memory.variances
 
-    def adapt(self, memory: FuzzyNoise, evidence: Evidence) -> FuzzyNoise:
+    def adapt(self, memory: FuzzyNoise, evidence: ReadingEvidence) -> FuzzyNoise:
         """The memory after one reading more."""
         return adapt(memory, evidence.innovation, evidence.expected, self.bounds)
 

@@ -7,7 +7,7 @@ import numpy as np
 Memory = TypeVar("Memory")
 
 
-class Evidence(NamedTuple):
+class ReadingEvidence(NamedTuple):
     """Evidence of a reading about its noise, in standard deviations of the data sheet, and squared.
 
     Attributes:
@@ -34,6 +34,6 @@ class NoiseLaw(Protocol[Memory]):
         """Variances learnt over those of the data sheet, (..., m)."""
         ...
 
-    def adapt(self, memory: Memory, evidence: Evidence) -> Memory:
+    def adapt(self, memory: Memory, evidence: ReadingEvidence) -> Memory:
         """The memory after one reading more; NaN leaves a channel alone."""
         ...

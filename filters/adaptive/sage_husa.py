@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.noise_law import Evidence
+from concord.filters.adaptive.noise_law import ReadingEvidence
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, Residual, evaluate, moments
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
@@ -130,7 +130,7 @@ class SageHusa:
         """Variances learnt over those of the data sheet, (..., m)."""
         return memory.variances
 
-    def adapt(self, memory: NoiseEstimate, evidence: Evidence) -> NoiseEstimate:
+    def adapt(self, memory: NoiseEstimate, evidence: ReadingEvidence) -> NoiseEstimate:
         """The memory after one reading more."""
         return adapt(
             memory,
