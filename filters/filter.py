@@ -2,10 +2,10 @@
 
 Lanes are free leading axes, as in `concord.filters.ukf`. A filter keeps nothing between calls: its
 fields are its settings, and equal arguments give equal bits. A lane that fails is NaN, and fails
-alone.
+alone. The memory of a filter that learns is a value too, kept by the caller beside the belief.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -43,6 +43,39 @@ class Filter(Protocol):
         `noise_cov` is (m, m) or (..., m, m); `residual` is the difference of two measurements. A
         lane with nothing taken keeps its belief bit for bit. So does a lane whose normalised
         innovation squared exceeds the `gate`.
+        """
+        ...
+
+
+Memory = TypeVar("Memory")
+
+
+@runtime_checkable
+class LearningFilter(Filter, Protocol[Memory]):
+    """A filter that learns from the readings of a sensor. `update` by itself learns nothing.
+
+    A memory is a named tuple of arrays, or of such tuples; the first axes of each are the lanes.
+    """
+
+    def begin(self, shape: tuple[int, ...], /) -> Memory:
+        """The memory before the first reading, of a sensor with readings (..., m) of this shape."""
+        ...
+
+    def update_and_learn(
+        self,
+        belief: Gaussian,
+        memory: Memory,
+        measurement: np.ndarray,
+        measure: Model,
+        noise_cov: np.ndarray,
+        /,
+        *,
+        residual: Residual = np.subtract,
+        gate: float | None = None,
+    ) -> tuple[Update, Memory]:
+        """As `update`, given what was learnt, and the memory after this reading.
+
+        Entries that are NaN teach nothing. `noise_cov` is the noise of the data sheet.
         """
         ...
 

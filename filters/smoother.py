@@ -1,4 +1,4 @@
-"""Rauch-Tung-Striebel smoother, unscented: functions over histories of filtered beliefs.
+"""Rauch-Tung-Striebel smoothers: functions over histories of filtered beliefs.
 
 With the filtered belief (x, P) of a step, sigma points X_s of weights w_s of it, and the model's
 values Y_s = f(X_s):
@@ -8,7 +8,10 @@ values Y_s = f(X_s):
     smooth    x + G (xs - x-),  P + G (Ps - P-) G'
 
 where (xs, Ps) is the smoothed belief of the step after. On linear models the points give the exact
-moments: the Rauch-Tung-Striebel smoother (1965).
+moments: the Rauch-Tung-Striebel smoother (1965). `backward_affine` takes the moments of an affine
+model instead of points, for the extended filter and where a covariance is singular:
+
+    predict   x- = f(x),  P- = F P F' + Q,      C = P F'
 
 Histories have steps on the first axis; all axes between it and the last are lanes, and free. A lane
 that fails is NaN, and fails alone.
@@ -22,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import multiply, solve_spd, symmetrise
 from concord.filters.moments import Model, sum_of_products
@@ -51,6 +55,19 @@ def backward(
     points, weighted, predicted = propagated(belief, transition, noise_cov, rule)
     cross_cov = sum_of_products(points - belief.mean, weighted)
     return Backward(predicted, solve_spd(predicted.cov, cross_cov.mT).mT)
+
+
+def backward_affine(belief: Gaussian, transition: Affine, noise_cov: np.ndarray) -> Backward:
+    """The way back to a filtered belief (..., n) through a transition that is affine about it.
+
+    The covariance of the belief may be singular; the way is NaN in a lane whose predicted
+    covariance is. Source: Rauch, Tung and Striebel (1965), Maximum likelihood estimates of linear
+    dynamic systems, AIAA Journal 3(8).
+    """
+    ahead_cov = transition.slope @ belief.cov
+    cov = symmetrise(ahead_cov @ transition.slope.mT + transition.error_cov) + noise_cov
+    predicted = Gaussian(transition.predicted, cov)
+    return Backward(predicted, solve_spd(predicted.cov, ahead_cov).mT)
 
 
 def smoothed(belief: Gaussian, back: Backward, following: Gaussian) -> Gaussian:

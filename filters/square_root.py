@@ -1,4 +1,4 @@
-"""The update of a sigma-point filter in square-root form, for readings much sharper than the prior.
+"""The square-root form of a sigma-point filter: factors of covariances, and no difference of them.
 
 `conditioning` subtracts covariances, and loses as many digits as the variance of a predicted
 reading has more than the noise R: a ratio of 1e13 leaves three. Here the deviations of the points
@@ -8,6 +8,8 @@ and of the posterior covariance. Nothing is subtracted:
     [ sqrt(w) (Y - y)   sqrt(R) ]         [ F  0 ]
     [ sqrt(w) (X - x)      0    ] Theta = [ G  L ],    S = F F', K = G F^-1, P+ = L L'
 
+The prediction is the first line alone, with Q in place of R. Q may be singular.
+
 Source: Kailath, Sayed and Hassibi (2000), Linear estimation, section 12.3; Arasaratnam and Haykin
 (2009), Cubature Kalman filters, appendix.
 """
@@ -16,7 +18,14 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, inverse_of_triangle, multiply
-from concord.filters.moments import Model, Residual, evaluate, moments, points_last
+from concord.filters.moments import (
+    Model,
+    Residual,
+    check_noise,
+    evaluate,
+    moments,
+    points_last,
+)
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
 from concord.filters.update import Update, missing_entries, settle, without_rows
 
@@ -34,6 +43,32 @@ def cancels(cov: np.ndarray, noise_cov: np.ndarray, measurement: np.ndarray) -> 
         return None
     lost = lost & ~np.isnan(measurement)
     return np.asarray(lost.any(axis=-1)) if np.count_nonzero(lost) else None
+
+
+def predict(
+    belief: Gaussian, transition: Model, noise_cov: np.ndarray, rule: SigmaPointRule
+) -> Gaussian:
+    """The belief one step later; arguments and result as of `ukf.predict`.
+
+    The weights of covariances of the rule must not be negative.
+    """
+    n = belief.mean.shape[-1]
+    check_noise(noise_cov, n, "process noise covariance")
+    values = evaluate(transition, sigma_points(belief, rule), n, "transition")
+    mean, away = moments(values, rule, np.subtract)
+    away = np.sqrt(rule.cov_weights)[:, None] * away
+    noise_root = np.broadcast_to(root(noise_cov).mT, (*away.shape[:-2], n, n))
+    rows = np.concatenate([away, noise_root], axis=-2)
+    L: np.ndarray = np.swapaxes(np.linalg.qr(rows, mode="r"), -1, -2)
+    return Gaussian(mean, L @ L.mT)
+
+
+def root(cov: np.ndarray) -> np.ndarray:
+    """A root A (..., n, n), A A' = cov, of a covariance that may be singular; NaN in a lane that is
+    not finite."""
+    sound = np.asarray(np.isfinite(cov).all(axis=(-1, -2)))[..., None, None]
+    values, vectors = np.linalg.eigh(np.where(sound, cov, 0.0))
+    return np.where(sound, vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :], np.nan)
 
 
 def update(

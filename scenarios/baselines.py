@@ -10,13 +10,15 @@ docs/results.md has the figures.
 """
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.filters.smoother import smooth_with_lags
+from concord.filters.smoother import Backward, smooth, smooth_with_lags
 from concord.nodes.rules.local_filter import (
     LocalFilters,
+    Memory,
     SensorGroup,
     predict_to_step,
     update_with_readings,
@@ -29,8 +31,16 @@ from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.rules import rule_of
 from concord.scenarios.setup import Setup
 
-BaselineStep = Callable[[Gaussian, int, np.ndarray, np.ndarray | None], Gaussian]
-"""(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
+
+class BaselineContent(NamedTuple):
+    """The belief of a baseline, and what its filter has learnt, one entry for each sensor."""
+
+    belief: Gaussian
+    memory: tuple[Memory | None, ...] = ()
+
+
+BaselineStep = Callable[[BaselineContent, int, np.ndarray, np.ndarray | None], BaselineContent]
+"""(content of the step before, step, readings (N, r, d), control (p,)) -> content of the step."""
 
 
 def centralised(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -> Gaussian:
@@ -62,20 +72,39 @@ def centralised_past(
     `filtered` is that of `centralised_of_runs`; control (R, steps, p). Returns mean (most + 1, R,
     steps, n) and covariance, NaN before the run.
     """
+    history = Gaussian(*(np.moveaxis(values, 1, 0) for values in filtered))
+    past = smooth_with_lags(history, _ways_back(setup, filtered, control), most)
+    return Gaussian(*(np.moveaxis(values, 1, 2) for values in past))
+
+
+def centralised_smoothed(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> Gaussian:
+    """The states of a whole run given all its readings, by one smoother that hears everything.
+
+    `filtered` (steps, n) is that of `centralised`; control (steps, p). The result has the same
+    shape.
+    """
+    lanes = Gaussian(*(values[None] for values in filtered))
+    driven = None if control is None else control[None]
+    return smooth(filtered, [_alone_way(way) for way in _ways_back(setup, lanes, driven)])
+
+
+def _alone_way(way: Backward) -> Backward:
+    return Backward(_alone(way.predicted), way.gain[0])
+
+
+def _ways_back(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> list[Backward]:
+    """The ways from each step of beliefs (R, steps, n) to the one before it."""
     model, own_filter = definition_of(setup.scenario).model(setup.scenario), filter_of(setup)
-    ways = [
+    return [
         way_back(
             Gaussian(filtered.mean[:, step - 1], filtered.cov[:, step - 1]),
-            _driven(control, step),
+            driven_into(control, step),
             step,
             model,
             own_filter,
         )
         for step in range(1, filtered.mean.shape[1])
     ]
-    history = Gaussian(*(np.moveaxis(values, 1, 0) for values in filtered))
-    past = smooth_with_lags(history, ways, most)
-    return Gaussian(*(np.moveaxis(values, 1, 2) for values in past))
 
 
 def local_only_of_runs(
@@ -108,13 +137,15 @@ def _all_alone(
     filters = LocalFilters(definition.model(scenario), (group,), filter_of(setup))
 
     def advance(
-        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
-    ) -> Gaussian:
+        content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> BaselineContent:
+        belief = content.belief
         if step > 0:
             belief, _ = filters.predict(belief, driven, step)
-        return filters.update(belief, delivered, step)[0]
+        found = filters.update(belief, delivered, step, content.memory)
+        return BaselineContent(found.belief, found.memory)
 
-    prior = _priors(setup, runs)
+    prior = priors_of_runs(setup, runs)
     shape = (len(runs), scenario.nodes)
     everywhere = Gaussian(
         np.broadcast_to(prior.mean[:, None], (*shape, *prior.mean.shape[1:])),
@@ -164,10 +195,10 @@ def _stepwise(
     readings: np.ndarray,
     control: np.ndarray | None,
 ) -> Gaussian:
-    return _through(_priors(setup, runs), advance, readings, control)
+    return _through(priors_of_runs(setup, runs), advance, readings, control)
 
 
-def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
+def priors_of_runs(setup: Setup, runs: Sequence[int]) -> Gaussian:
     """Where filters begin in the runs of these numbers: (R, n), (R, n, n)."""
     starts = [setup_of_run(setup, run) for run in runs]
     return Gaussian(
@@ -180,15 +211,16 @@ def _through(
     belief: Gaussian, advance: BaselineStep, readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
+    content = BaselineContent(belief)
     means, covs = [], []
     for step in range(readings.shape[1]):
-        belief = advance(belief, step, readings[:, step], _driven(control, step))
-        means.append(belief.mean)
-        covs.append(belief.cov)
+        content = advance(content, step, readings[:, step], driven_into(control, step))
+        means.append(content.belief.mean)
+        covs.append(content.belief.cov)
     return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
 
 
-def _driven(control: np.ndarray | None, step: int) -> np.ndarray | None:
+def driven_into(control: np.ndarray | None, step: int) -> np.ndarray | None:
     """The control (R, p) into a step; None too where no node closed the loop yet."""
     driven = None if control is None else control[:, step]
     return None if driven is None or np.isnan(driven).all() else driven
@@ -203,7 +235,7 @@ def filters_step_by_step(setup: Setup) -> bool:
 def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     """One filter that takes the readings of these nodes, one step at a time.
 
-    Beliefs, readings and control may have leading axes, one entry a run.
+    Contents, readings and control may have leading axes, one entry a run.
     """
     scenario, own_filter = setup.scenario, filter_of(setup)
     definition = definition_of(scenario)
@@ -212,14 +244,19 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     sensors = [(node, sensor) for node, sensor in each if sensor is not None]
 
     def advance(
-        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
-    ) -> Gaussian:
+        content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> BaselineContent:
+        belief, before = content.belief, content.memory or (None,) * len(sensors)
+        memory: tuple[Memory | None, ...] = ()
         if step > 0:
             moved, sound = predict_to_step(belief, driven, step, model, own_filter)
             belief = where(sound, moved, belief)
-        for node, sensor in sensors:
+        for (node, sensor), known in zip(sensors, before, strict=True):
             readings = delivered[..., node, :, :]
-            belief, _ = update_with_readings(belief, readings, step, sensor, own_filter)
-        return belief
+            belief, learnt, _ = update_with_readings(
+                belief, readings, step, sensor, own_filter, known
+            )
+            memory += learnt
+        return BaselineContent(belief, memory)
 
     return advance

@@ -108,12 +108,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
-    rule = build_estimator(scenario, context)
-    return (
-        definition.estimator_wrapper(scenario, context, rule)
-        if definition.estimator_wrapper
-        else rule
-    )
+    return build_estimator(scenario, context)
 
 
 def filter_of(setup: Setup) -> Filter:

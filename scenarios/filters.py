@@ -6,22 +6,34 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from concord.filters.adaptive.adaptive_filter import AdaptiveFilter
 from concord.filters.adaptive.correntropy import CorrentropyFilter
+from concord.filters.adaptive.fuzzy_noise import FuzzyMatching
+from concord.filters.adaptive.sage_husa import Bounds, SageHusa
+from concord.filters.dual_layer import DualLayerFilter
 from concord.filters.extended import ExtendedFilter
-from concord.filters.filter import Filter
+from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
 from concord.filters.iterated import IteratedFilter
 from concord.filters.linalg import cholesky
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from concord.filters.square_root_filter import SquareRootFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.scenarios.types.filters import (
+    AdaptiveDualLayer,
+    AdaptiveUnscented,
     CubatureFilter,
     FilterBase,
+    FuzzyUnscented,
     IteratedTangentFilter,
     LinearFilter,
     MaximumCorrentropy,
+    NoiseLearningFilter,
     PosteriorLinearisation,
+    SageHusaBase,
+    SquareRootCubature,
+    SquareRootUnscented,
     TangentFilter,
     UnscentedFilter,
     UserFilter,
@@ -50,10 +62,26 @@ class FilterEntry(NamedTuple):
     robust: bool = False
 
 
+def _bounds(choice: NoiseLearningFilter) -> Bounds:
+    return Bounds(choice.least_noise, choice.most_noise)
+
+
+def _sage_husa(choice: SageHusaBase) -> SageHusa:
+    return SageHusa(choice.forgetting, _bounds(choice), choice.outlier_limit)
+
+
+def _fuzzy(choice: FuzzyUnscented) -> FuzzyMatching:
+    return FuzzyMatching(choice.innovations, _bounds(choice))
+
+
 _FILTERS: dict[type[FilterBase], FilterEntry] = {
     UnscentedFilter: FilterEntry(lambda _, points: SigmaPointFilter(points)),
     CubatureFilter: FilterEntry(
         lambda _, points: SigmaPointFilter(cubature(points.unit_points.shape[1]))
+    ),
+    SquareRootUnscented: FilterEntry(lambda _, points: SquareRootFilter(points)),
+    SquareRootCubature: FilterEntry(
+        lambda _, points: SquareRootFilter(cubature(points.unit_points.shape[1]))
     ),
     TangentFilter: FilterEntry(lambda _, points: ExtendedFilter(), singular=True),
     LinearFilter: FilterEntry(
@@ -68,6 +96,15 @@ _FILTERS: dict[type[FilterBase], FilterEntry] = {
     MaximumCorrentropy: FilterEntry(
         lambda choice, points: CorrentropyFilter(points, choice.bandwidth, choice.iterations),
         robust=True,
+    ),
+    AdaptiveUnscented: FilterEntry(
+        lambda choice, points: AdaptiveFilter(SigmaPointFilter(points), _sage_husa(choice), points)
+    ),
+    FuzzyUnscented: FilterEntry(
+        lambda choice, points: AdaptiveFilter(SigmaPointFilter(points), _fuzzy(choice), points)
+    ),
+    AdaptiveDualLayer: FilterEntry(
+        lambda choice, points: AdaptiveFilter(DualLayerFilter(points), _sage_husa(choice), points)
     ),
     UserFilter: FilterEntry(lambda choice, _: _user_filter(choice.where), singular=True),
 }
@@ -91,6 +128,13 @@ def build_filter(choice: FilterBase, states: int, points: SigmaPointRule | None 
         ValueError: a file that has no such filter, or a filter of a measurement bus.
     """
     return entry_of(choice).build(choice, points or scaled_unscented(states))
+
+
+def learns(choice: FilterBase) -> bool:
+    """Whether a filter learns from the readings of a node."""
+    if isinstance(choice, UserFilter):
+        return isinstance(_user_filter(choice.where), LearningFilter)
+    return isinstance(choice, NoiseLearningFilter)
 
 
 @lru_cache

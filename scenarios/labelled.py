@@ -19,6 +19,7 @@ from concord.nodes.rules.labelled_frame import (
 from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_codec import record_codec
 from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
@@ -177,6 +178,11 @@ def check_labelled(
         raise ValueError(
             f"rule labelled with --nodes {scenario.nodes}: a label names its source in one byte, "
             f"for {MAX_SOURCES} nodes at most; use rule ci or hcmci"
+        )
+    if learns(scenario.filter):
+        raise ValueError(
+            f"rule labelled with --filter {scenario.filter.name}: it sends readings, whose noise "
+            "every node takes from the data sheet; use --filter ukf with it, or rule ci"
         )
     rule = flooding_of(scenario)
     window = rule.window_steps

@@ -11,7 +11,6 @@ from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.environment_state import Delivery
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
-from concord.scenarios.node_context import NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 
@@ -104,7 +103,6 @@ class ScenarioDefinition(NamedTuple):
         baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one
             filter that takes the readings of these nodes; None for the one that model and sensors
             give.
-        estimator_wrapper: what a node puts around its rule's estimator, None for nothing.
     """
 
     defaults: Scenario
@@ -121,7 +119,6 @@ class ScenarioDefinition(NamedTuple):
     wiring: NetworkWiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
-    estimator_wrapper: Callable[[Scenario, NodeContext, AnyEstimator], AnyEstimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
 
     def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:

@@ -160,7 +160,7 @@ def test_driven_plants_agree(name: str):
     [
         ("liu2021-network", {"occupancy": 0.5, "record_number": "float32"}),
         ("meng2025-network", {"occupancy": 0.5}),
-        ("vehicle-network", {"adaptive": False, "cluster": "fitted"}),
+        ("vehicle-network", {"filter": "ukf", "cluster": "fitted"}),
     ],
 )
 def test_sensors_that_are_unlike_or_noisier_with_the_state_agree(name: str, options: dict):

@@ -33,6 +33,17 @@ def test_a_command_of_the_page_runs(command: str, checkout: Path):
     run_as_reader(command, checkout)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
+)
+def test_its_long_sweep_runs_for_a_few_steps(checkout: Path):
+    (command,) = re.findall(r"^    (concord sweep [^\n]*\\\n[^\n]*)$", PAGE, re.MULTILINE)
+    short = command.replace("--steps 1400 --runs 20", "--steps 5 --runs 2")
+    assert short != command
+    run_as_reader(f"{short} --workers 1", checkout)
+
+
 def test_its_python_holds():
     for code in blocks(PAGE, "python"):
         exec(code, {})

@@ -17,7 +17,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
 from concord.runtime.whole_steps import WholeStep
-from concord.scenarios.baselines import baseline_step, filters_step_by_step
+from concord.scenarios.baselines import BaselineContent, baseline_step, filters_step_by_step
 
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")
@@ -40,7 +40,7 @@ class Assembler:
         self._listen = None
         if filters_step_by_step(stage.setup):
             self._listen = baseline_step(stage.setup, list(range(nodes)))
-        self._central: Gaussian | None = prior
+        self._central = BaselineContent(prior)
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
@@ -178,7 +178,7 @@ class Assembler:
 
     def _hear_all(self, number: int, told: StepContent) -> Gaussian | None:
         """The filter that hears everything, one step on; none where it cannot be followed."""
-        if self._listen is None or self._central is None:
+        if self._listen is None:
             return None
         nodes = range(self._stage.nodes)
         if not told.measured:
@@ -191,7 +191,7 @@ class Assembler:
         control = next(iter(told.measured.values())).control
         driven = None if control is None else np.array(control)
         self._central = self._listen(self._central, number, delivered, driven)
-        return self._central
+        return self._central.belief
 
     def _lost(self, ages: NDArray[np.int64], alive: np.ndarray, last_cycle: int) -> np.ndarray:
         """Whose newest share did not reach whom: what is held is older than what was sent."""

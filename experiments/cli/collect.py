@@ -23,6 +23,14 @@ from concord.experiments.results.run_results import (
     write_results,
 )
 from concord.experiments.results.run_verdict import LEGEND
+from concord.experiments.results.smoothing import (
+    SmoothingFigures,
+    check_smoothing,
+    smoothed_of,
+    smoothing_figures,
+    smoothing_line,
+    write_smoothed,
+)
 from concord.experiments.results.summary import (
     Figures,
     details,
@@ -63,6 +71,8 @@ class CollectOptions:
     """Cycles in bus.pcap: used (those with rounds), or all, with null frames between the steps."""
     capture_nodes: tuple[int, ...] = ()
     """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
+    smooth: bool = False
+    """Also smooth the whole run with the readings of all sensors, into smoothed.nc."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
@@ -71,6 +81,8 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
         description = read_description(options.folder)
         captures = Captures(options.capture == "all", options.capture_nodes)
         check_captures(description.setup, captures)
+        if options.smooth:
+            check_smoothing(description.setup)
         finish_recording(options.folder / RECORDING)
         trace = completed(options.folder, description)
     finish(
@@ -80,6 +92,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
         RunPace(None, None),
         FiguresForm(options.json, options.verbose),
         captures,
+        options.smooth,
     )
 
 
@@ -90,8 +103,9 @@ def finish(
     pace: RunPace,
     shown: FiguresForm,
     captures: Captures = NO_MORE,
+    smooth: bool = False,
 ) -> None:
-    """Write run.nc and the captures, print the figures."""
+    """Write run.nc and the captures, with `smooth` smoothed.nc, and print the figures."""
     write_results(folder, description, trace, captures)
     found = summarise(description.setup, trace)
     figures = msgspec.structs.replace(
@@ -100,8 +114,17 @@ def finish(
         steps_per_second=pace.steps_per_second,
         ready_s=pace.ready_s,
         labelled=labelled_beside(description.setup, trace, found.first_step),
+        smoothing=_smoothing(folder, description, trace, found.first_step) if smooth else None,
     )
     _show(figures, description, shown)
+
+
+def _smoothing(
+    folder: Path, description: Description, trace: Trace, first: int
+) -> SmoothingFigures:
+    found = smoothed_of(description.setup, trace)
+    write_smoothed(folder, description, found)
+    return smoothing_figures(description.setup, trace, found, first)
 
 
 def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigures | None:
@@ -123,6 +146,8 @@ def _show(figures: Figures, description: Description, shown: FiguresForm) -> Non
     for line in opening(figures):
         console.print(line, style="bold", highlight=False)
     console.print(table(figures, title))
+    if figures.smoothing is not None:
+        console.print(smoothing_line(figures.smoothing, figures.unit), highlight=False)
     for line in (*lines(figures), *(details(figures) if shown.verbose else ())):
         console.print(line, highlight=False)
     if figures.containment is None:

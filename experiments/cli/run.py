@@ -26,6 +26,7 @@ from concord.experiments.results.folder import (
     write_description,
 )
 from concord.experiments.results.run_results import Captures, check_captures, completed
+from concord.experiments.results.smoothing import check_smoothing
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import NotWritten
@@ -73,6 +74,8 @@ class RunOptions:
     """Cycles in bus.pcap: used (those with rounds), or all, with null frames between the steps."""
     capture_nodes: tuple[int, ...] = ()
     """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
+    smooth: bool = False
+    """Also smooth the whole run with the readings of all sensors, into smoothed.nc."""
 
 
 def run(
@@ -87,6 +90,8 @@ def run(
         setup = prepare(found)
         captures = Captures(output.capture == "all", output.capture_nodes)
         check_captures(setup, captures)
+        if output.smooth:
+            check_smoothing(setup)
         if output.port is not None:
             ports_from(output.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)
@@ -113,7 +118,7 @@ def run(
         with user_errors():
             trace = completed(folder, description)
         shown = FiguresForm(output.json, output.verbose)
-        finish(folder, description, trace, pace, shown, captures)
+        finish(folder, description, trace, pace, shown, captures, output.smooth)
         page.stay()
 
 
@@ -175,6 +180,11 @@ def _check(options: RunOptions) -> None:
         option = "--capture-nodes" if options.capture_nodes else f"--capture {options.capture}"
         raise ValueError(
             f"{option} with --driver {BATCHED}: it passes no frames; use --driver in-process, or "
+            "leave it out"
+        )
+    if options.driver == BATCHED and options.smooth:
+        raise ValueError(
+            f"--smooth with --driver {BATCHED}: it smooths one run; use --driver in-process, or "
             "leave it out"
         )
     if options.cycle_stretch is not None and options.driver != REALTIME:

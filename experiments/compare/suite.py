@@ -91,7 +91,7 @@ SUITE = (
         "a car's four sensor nodes on a complete graph: few nodes, and rule centralised runs",
         {
             "scenario": "vehicle-network",
-            "adaptive": "false",
+            "filter": "ukf",
             "noise": "matched",
             "cluster": "fitted",
             "steps": "600",

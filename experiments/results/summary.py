@@ -17,6 +17,7 @@ from concord.experiments.results.bus_report import BusFigures
 from concord.experiments.results.containment import Containment, containment
 from concord.experiments.results.record_spread import SpreadFigures
 from concord.experiments.results.run_verdict import anees_interval, verdict
+from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
 from concord.filters.gaussian import Gaussian
@@ -87,6 +88,7 @@ class Figures(msgspec.Struct, frozen=True):
     containment: Containment | None = None
     containment_centralised: Containment | None = None
     spread: SpreadFigures | None = None
+    smoothing: SmoothingFigures | None = None
     timing: TimingFigures | None = None
     smoothed: list[SmoothedFigure] | None = None
     suspect: list[int] | None = None

@@ -10,10 +10,12 @@ average); Mohamed and Schwarz (1999), Adaptive Kalman filtering for INS/GPS, equ
 residual form).
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.adaptive.noise_law import ReadingEvidence
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, Residual, evaluate, moments
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
@@ -109,6 +111,35 @@ def adapt(
     mixed = noise.variances + weight * (np.where(taken, sample, 0.0) - noise.variances)
     variances = np.where(taken, np.clip(mixed, bounds.low, bounds.high), noise.variances)
     return NoiseEstimate(variances, noise.taken + taken)
+
+
+@dataclass(frozen=True)
+class SageHusa:
+    """`adapt` as a `concord.filters.adaptive.noise_law.NoiseLaw`; limits are factors of the
+    variance of the data sheet."""
+
+    forgetting: float = 0.98
+    bounds: Bounds = UNBOUNDED
+    outlier_limit: float | None = None
+
+    def begin(self, shape: tuple[int, ...]) -> NoiseEstimate:
+        """The data sheet."""
+        return begin(np.ones(shape))
+
+    def factors(self, memory: NoiseEstimate) -> np.ndarray:
+        """Variances learnt over those of the data sheet, (..., m)."""
+        return memory.variances
+
+    def adapt(self, memory: NoiseEstimate, evidence: ReadingEvidence) -> NoiseEstimate:
+        """The memory after one reading more."""
+        return adapt(
+            memory,
+            evidence.residual,
+            evidence.spread,
+            forgetting=self.forgetting,
+            bounds=self.bounds,
+            outlier_limit=self.outlier_limit,
+        )
 
 
 def unexplained(

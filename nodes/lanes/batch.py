@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.filters.fusion.hold import renormalise
 from concord.filters.gaussian import Gaussian
-from concord.nodes.lanes.filter import Counters, added, traffic, with_lanes
+from concord.nodes.lanes.filter import Counters, added, forgotten, traffic, with_lanes
 from concord.nodes.lanes.links import DegreeClass, Links, Shares
 from concord.nodes.lanes.mixing import mixed, weighed
 from concord.nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
@@ -71,7 +71,8 @@ class InBatch(Generic[Own, Held, Share]):
         heard = np.flatnonzero(np.isin(self.links.receiver, nodes))
         own = mapped(lambda old, new: _replaced(old, nodes, new[:, nodes]), known.own, anew.own)
         held = mapped(lambda old, new: _replaced(old, heard, new[:, heard]), known.held, anew.held)
-        return content._replace(known=known._replace(own=own, held=held))
+        memory = forgotten(self.filters, known.memory, nodes, self.links.nodes)
+        return content._replace(known=known._replace(own=own, held=held, memory=memory))
 
     def begin_step(
         self,
@@ -137,7 +138,8 @@ class InBatch(Generic[Own, Held, Share]):
             for name, count in failed.items():
                 total = failures.setdefault(name, np.zeros((*came.shape[:1], self.links.nodes)))
                 total[:, some.nodes] += count
-        return LaneContent(own, held, after.cycles_in_step), failures
+        after = LaneContent(own, held, after.cycles_in_step, before.memory)
+        return after, failures
 
     def belief(self, content: BatchContent[Own, Held]) -> Gaussian:
         """Return the current beliefs of the nodes: (R, N, n), (R, N, n, n)."""

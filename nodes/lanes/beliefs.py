@@ -20,6 +20,7 @@ from concord.nodes.lanes.filter import (
     LastPublished,
     LocalFilters,
     added,
+    forgotten,
     nothing_published,
     traffic,
     with_lanes,
@@ -27,7 +28,7 @@ from concord.nodes.lanes.filter import (
 from concord.nodes.lanes.links import Links, Shares, unheard
 from concord.nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
 from concord.nodes.rules.belief_consensus import HoldPolicy
-from concord.nodes.rules.local_filter import finite_lanes, predict_to_step, where
+from concord.nodes.rules.local_filter import Memory, finite_lanes, predict_to_step, where
 from concord.nodes.vector_codec import VectorCodec
 
 
@@ -70,6 +71,7 @@ class BatchedContent(NamedTuple):
     belief: the own ones; within a step those before its rounds, where the rule is not `eager`.
     own, held: the own ones and what is held, by slot, about `origin` and `held_origin` (R, 1, n).
     ages: (R, E) by link, or (1, E) where they are those of all runs.
+    memory: what the local filters have learnt, one entry for each group of sensors.
     """
 
     belief: Gaussian
@@ -83,6 +85,7 @@ class BatchedContent(NamedTuple):
     control: np.ndarray | None
     cycles_in_step: int
     counters: Counters
+    memory: tuple[Memory | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,8 +107,7 @@ class BatchedBeliefs:
 
     @property
     def eager(self) -> bool:
-        """Whether beliefs must be known after every round: for bids, for the wire, or because the
-        rule's numbers do not tell whether an average went well."""
+        """Whether beliefs must be known after every round: for bids, the wire or a check."""
         lazy = self.averaging is INFORMATION and self.codec.exact
         return len(self.contenders) > 0 or not lazy
 
@@ -128,6 +130,7 @@ class BatchedBeliefs:
             belief=with_lanes(content.belief, nodes, belief),
             ages=unheard(self.links, content.ages, nodes),
             published=content.published.forgotten(nodes),
+            memory=forgotten(self.filters, content.memory, nodes, self.links.nodes),
         )
 
     def begin_step(
@@ -140,7 +143,7 @@ class BatchedBeliefs:
             counters = added(counters, {"predict-failed": ~sound})
             if self.hold.carried:
                 published = published.carried(self.filters, control, step)
-        belief, failures = self.filters.update(belief, readings, step)
+        belief, memory, failures = self.filters.update(belief, readings, step, content.memory)
         origin = belief.mean.mean(axis=1, keepdims=True)
         return content._replace(
             belief=belief,
@@ -151,6 +154,7 @@ class BatchedBeliefs:
             control=control,
             cycles_in_step=0,
             counters=added(counters, failures),
+            memory=memory,
         )
 
     def bids(self, content: BatchedContent, nodes: np.ndarray) -> np.ndarray:
@@ -285,7 +289,6 @@ class BatchedBeliefs:
 
     def spread(self, content: BatchedContent) -> None:
         """Shares have one length."""
-        return
 
 
 def _usable(own: Numbers, mixing: Mixing, values: np.ndarray) -> np.ndarray:

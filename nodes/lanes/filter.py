@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.bids import FIRST_BID, bid_for_change
 from concord.nodes.lanes.links import Links
-from concord.nodes.rules.local_filter import LocalFilters, where
+from concord.nodes.rules.lane_rule import mapped
+from concord.nodes.rules.local_filter import LocalFilters, Memory, where
 
 Counters = Mapping[str, np.ndarray]
 """Totals (R, N) since the start by the names that `concord.nodes.node` and the rules give them."""
@@ -47,6 +49,28 @@ def with_lanes(beliefs: Gaussian, nodes: np.ndarray, others: Gaussian) -> Gaussi
     mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
     mean[:, nodes], cov[:, nodes] = others
     return Gaussian(mean, cov)
+
+
+def forgotten(
+    filters: LocalFilters, memory: tuple[Memory | None, ...], nodes: np.ndarray, count: int
+) -> tuple[Memory | None, ...]:
+    """Return the memory of each group of sensors after some `nodes` (J,) of so many begin anew."""
+    anew = np.isin(np.arange(count), nodes)
+    pairs = zip(filters.groups, memory, strict=True) if memory else ()
+    return tuple(
+        None if known is None else _begun_anew(filters.filter, known, anew[group.nodes])
+        for group, known in pairs
+    )
+
+
+def _begun_anew(filter: Filter, known: Memory, anew: np.ndarray) -> Memory:
+    """The memory (R, K, ...) of a group in which nodes `anew` (K,) begin anew."""
+    assert isinstance(filter, LearningFilter), "only this kind of filter has a memory"
+
+    def chosen(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        return np.where(anew.reshape(-1, *(1,) * (old.ndim - 2)), new, old)
+
+    return known._replace(learnt=mapped(chosen, known.learnt, filter.begin(known.shape)))
 
 
 class LastPublished(NamedTuple):

@@ -82,12 +82,13 @@ class BeliefConsensus:
         self, node: np.ndarray, content: BeliefContent, now: LocalStep
     ) -> tuple[BeliefContent, Failures]:
         """Predict everything that is carried, then take the own readings one by one."""
-        own, held, _ = content
+        own, held = content.own, content.held
         failures: dict[str, np.ndarray] = {}
         if now.step > 0:
             own, held, failures = self._predicted(own, held, now)
-        belief, failed = now.update(own.belief)
-        return LaneContent(own._replace(belief=belief), held, 0), {**failures, **failed}
+        belief, memory, failed = now.update(own.belief, content.memory)
+        own = own._replace(belief=belief)
+        return LaneContent(own, held, 0, memory), {**failures, **failed}
 
     def _predicted(
         self, own: OwnBelief, held: HeldBeliefs, now: LocalStep
@@ -131,7 +132,7 @@ class BeliefConsensus:
         self, place: Place, content: BeliefContent, shares: Gaussian, heard: np.ndarray
     ) -> tuple[BeliefContent, Failures]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
-        own, before, cycles = content
+        own, before, cycles, _ = content
         if heard.all():
             held = HeldBeliefs(shares, np.zeros(heard.shape, dtype=np.int64))
         else:
@@ -145,10 +146,12 @@ class BeliefConsensus:
             content, failures = self.fuse(place, content, shares, heard & ~unsound)
             return content, {"rejected not-positive-definite": unsound.sum(axis=-1), **failures}
         if finite(fused.belief):
-            return LaneContent(OwnBelief(fused.belief, own.published), held, cycles + 1), {}
+            own = OwnBelief(fused.belief, own.published)
+            return content._replace(own=own, held=held, cycles_in_step=cycles + 1), {}
         sound = finite_lanes(fused.belief)
         belief = where(sound, fused.belief, own.belief)
-        after = LaneContent(OwnBelief(belief, own.published), held, cycles + 1)
+        own = OwnBelief(belief, own.published)
+        after = content._replace(own=own, held=held, cycles_in_step=cycles + 1)
         return after, {"fuse-failed": ~sound}
 
     def _weights(self, base: np.ndarray, ages: np.ndarray, cycles: int) -> np.ndarray:

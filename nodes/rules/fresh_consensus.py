@@ -110,10 +110,10 @@ class FreshConsensus:
             failures = {} if sound.all() else {"predict-failed": ~sound}
             if others:
                 published = published.moved(others[0])
-        belief, failed = now.update(prior)
+        belief, memory, failed = now.update(prior, content.memory)
         known = self.exchange.begin(node, prior, belief)
         own = FreshOwn(prior, belief, known, published)
-        return LaneContent(own, content.held, 0), {**failures, **failed}
+        return LaneContent(own, content.held, 0, memory), {**failures, **failed}
 
     def bid(self, content: FreshContent) -> np.ndarray:
         """How far the belief has moved since it was last published."""
@@ -139,7 +139,7 @@ class FreshConsensus:
         self, place: Place, content: FreshContent, shares: np.ndarray, heard: np.ndarray
     ) -> tuple[FreshContent, Failures]:
         """One round of the rule with what was heard, in sender order."""
-        own, _, cycle = content
+        own, _, cycle, _ = content
         failures: dict[str, np.ndarray] = {}
         usable = self.exchange.usable(own.prior, np.where(heard[..., None], shares, 0.0))
         if usable is not None and (refused := heard & ~usable).any():
@@ -159,7 +159,7 @@ class FreshConsensus:
     ) -> tuple[FreshContent, Failures]:
         """The content after a round that came to this, where it is a belief; `heard` as in `fuse`,
         or (R, E) of links."""
-        own, (ages,), cycle = content
+        own, (ages,), cycle, _ = content
         belief = Gaussian(belief.mean, symmetrise(belief.cov))
         sound = believable(belief)
         own = own._replace(
@@ -168,7 +168,7 @@ class FreshConsensus:
         )
         failures = {} if sound.all() else {"fuse-failed": ~sound}
         used = LastUsed(np.where(heard, 0, older(ages)))
-        return LaneContent(own, used, cycle + 1), failures
+        return content._replace(own=own, held=used, cycles_in_step=cycle + 1), failures
 
     def belief(self, content: FreshContent) -> Gaussian:
         """Return the rule's belief from all shares heard so far in this step."""

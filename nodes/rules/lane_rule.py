@@ -15,7 +15,14 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.bids import FIRST_BID, bid_for_change
-from concord.nodes.rules.local_filter import Carried, LocalFilters, predict_to_step, where
+from concord.nodes.rules.local_filter import (
+    Carried,
+    LocalFilters,
+    LocalUpdate,
+    Memory,
+    predict_to_step,
+    where,
+)
 
 Failures = Mapping[str, np.ndarray]
 """How often what went wrong, by name: (...) booleans or integers."""
@@ -39,11 +46,13 @@ class Place(NamedTuple):
 
 
 class LaneContent(NamedTuple, Generic[Own, Held]):
-    """Knowledge of lanes: named tuples of arrays; `cycles_in_step` counts the closed cycles."""
+    """Knowledge of lanes: named tuples of arrays; `cycles_in_step` counts the closed cycles, and
+    `memory` is what the local filters have learnt, one entry for each group of sensors."""
 
     own: Own
     held: Held
     cycles_in_step: int
+    memory: tuple[Memory | None, ...] = ()
 
 
 class LocalStep(NamedTuple):
@@ -77,9 +86,9 @@ class LocalStep(NamedTuple):
             found.append(Carried(here, sound[lanes].reshape(one.mean.shape[:-1])))
         return tuple(found)
 
-    def update(self, belief: Gaussian) -> tuple[Gaussian, Failures]:
-        """Own beliefs (..., n) after the own readings, and what went wrong."""
-        return self.filters.update(belief, self.readings, self.step)
+    def update(self, belief: Gaussian, memory: tuple[Memory | None, ...]) -> LocalUpdate:
+        """Own beliefs (..., n) after the own readings."""
+        return self.filters.update(belief, self.readings, self.step, memory)
 
 
 class LaneRule(Protocol[Own, Held, Share]):

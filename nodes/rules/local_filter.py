@@ -4,14 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import NamedTuple, Protocol, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from concord.filters.filter import Filter
+from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
 from concord.filters.update import Update
-from concord.nodes.messages import Measured, from_wire
+from concord.nodes.messages import Measured
 
 
 class Model(Protocol):
@@ -56,6 +56,26 @@ class StateNoise(Protocol):
         ...
 
 
+class Memory(NamedTuple):
+    """Memory of a filter about a sensor with readings (..., m) of a shape
+    (`concord.filters.filter.LearningFilter`)."""
+
+    shape: tuple[int, ...]
+    learnt: Any
+
+
+class LocalUpdate(NamedTuple):
+    """Beliefs (..., n) after their readings, what the filter has learnt of each group's sensor, and
+    how often what went wrong, by name: (...) integers.
+
+    The memory is None before the first reading, and of a filter that learns nothing.
+    """
+
+    belief: Gaussian
+    memory: tuple[Memory | None, ...]
+    failures: dict[str, np.ndarray]
+
+
 class Carried(NamedTuple):
     """Beliefs (K, n) at this step; `sound` (K,) is False where one could not be carried there."""
 
@@ -84,27 +104,64 @@ def control_of(measured: Measured) -> np.ndarray | None:
 
 
 def update_with_readings(
-    belief: Gaussian, readings: np.ndarray, step: int, sensor: Sensor, filter: Filter
-) -> tuple[Gaussian, dict[str, np.ndarray]]:
+    belief: Gaussian,
+    readings: np.ndarray,
+    step: int,
+    sensor: Sensor,
+    filter: Filter,
+    memory: Memory | None = None,
+) -> LocalUpdate:
     """Beliefs (..., n) after their readings (..., r, d), one by one.
 
-    Returns them and how often what went wrong, by name: (...) integers. A reading that is NaN
-    throughout was not taken.
+    A reading that is NaN throughout was not taken. `memory` is that of the sensor.
     """
     failures: dict[str, np.ndarray] = {}
     for place in range(readings.shape[-2]):
         delivered = readings[..., place, :]
         if np.isnan(delivered).all():
             continue
-        result = update_with_reading(
-            belief, sensor.interpret(delivered), step, sensor, filter, sensor.gate
-        )
+        interpreted = sensor.interpret(delivered)
+        result, memory = update_and_learn(belief, memory, interpreted, step, sensor, filter)
         sound = finite_lanes(result.belief)
         _count(failures, "update-failed", ~sound)
         if sensor.gate is not None:
             _count(failures, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
         belief = where(sound, result.belief, belief)
-    return belief, failures
+    return LocalUpdate(belief, (memory,), failures)
+
+
+def update_and_learn(
+    belief: Gaussian,
+    memory: Memory | None,
+    interpreted: tuple[np.ndarray, np.ndarray],
+    step: int,
+    sensor: Sensor,
+    filter: Filter,
+) -> tuple[Update, Memory | None]:
+    """Beliefs (..., n) after one reading through the gate of its sensor, and the memory after it;
+    None of a filter that learns nothing."""
+    if not _learns(type(filter)):
+        return update_with_reading(belief, interpreted, step, sensor, filter, sensor.gate), None
+    learning = cast(LearningFilter[Any], filter)
+    value, noise_cov = interpreted
+    if memory is None:
+        memory = Memory(value.shape, learning.begin(value.shape))
+    result, learnt = learning.update_and_learn(
+        belief,
+        memory.learnt,
+        value,
+        partial(sensor.measure, step=step),
+        with_state_noise(noise_cov, sensor, belief, step),
+        residual=sensor.residual,
+        gate=sensor.gate,
+    )
+    return result, memory._replace(learnt=learnt)
+
+
+@lru_cache
+def _learns(kind: type) -> bool:
+    # Kept: to ask a protocol takes longer than to update.
+    return issubclass(kind, LearningFilter)
 
 
 def update_with_reading(
@@ -126,18 +183,6 @@ def update_with_reading(
         residual=sensor.residual,
         gate=gate,
     )
-
-
-def update_with_own(
-    belief: Gaussian, measured: Measured, sensor: Sensor | None, filter: Filter
-) -> tuple[Gaussian, tuple[str, ...]]:
-    """One node's belief (n,) after its readings, and the names of what went wrong."""
-    # Mostly nothing was taken, and to find that out in an array takes longer.
-    taken = [reading for reading in measured.readings if any(v is not None for v in reading)]
-    if sensor is None or not taken:
-        return belief, ()
-    belief, failures = update_with_readings(belief, from_wire(taken), measured.step, sensor, filter)
-    return belief, failure_names(failures)
 
 
 def failure_names(failures: Mapping[str, np.ndarray]) -> tuple[str, ...]:
@@ -187,29 +232,37 @@ class LocalFilters:
         return where(sound, moved, belief), sound
 
     def update(
-        self, belief: Gaussian, readings: np.ndarray, step: int
-    ) -> tuple[Gaussian, dict[str, np.ndarray]]:
-        """Beliefs (..., n) after each node's own readings (..., r, d), and what went wrong.
+        self,
+        belief: Gaussian,
+        readings: np.ndarray,
+        step: int,
+        memory: tuple[Memory | None, ...] = (),
+    ) -> LocalUpdate:
+        """Beliefs (..., n) after each node's own readings (..., r, d).
 
-        The last axis of the lanes is that of the nodes where groups divide them.
+        The last axis of the lanes is that of the nodes where groups divide them. The memory has one
+        entry for each group, and none before the first step.
         """
         if not self.groups:
-            return belief, {}
+            return LocalUpdate(belief, (), {})
+        before = memory or (None,) * len(self.groups)
         if len(self.groups) == 1 and self.groups[0].whole:
             sensor = self.groups[0].sensor
-            return update_with_readings(belief, readings, step, sensor, self.filter)
+            return update_with_readings(belief, readings, step, sensor, self.filter, before[0])
         mean, cov = belief.mean.copy(), belief.cov.copy()
         counted: dict[str, np.ndarray] = {}
-        for nodes, sensor in self.groups:
+        learnt: tuple[Memory | None, ...] = ()
+        for (nodes, sensor), known in zip(self.groups, before, strict=True):
             own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
-            after, failures = update_with_readings(
-                own, readings[:, nodes], step, sensor, self.filter
+            after, found, failures = update_with_readings(
+                own, readings[:, nodes], step, sensor, self.filter, known
             )
             mean[:, nodes], cov[:, nodes] = after
+            learnt += found
             for name, count in failures.items():
                 total = counted.setdefault(name, np.zeros(mean.shape[:2], dtype=int))
                 total[:, nodes] += count
-        return Gaussian(mean, cov), counted
+        return LocalUpdate(Gaussian(mean, cov), learnt, counted)
 
 
 def _count(failures: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:

@@ -92,7 +92,7 @@ class SetMembership(Generic[HeldSet]):
         self, node: np.ndarray, content: SetContent[HeldSet], now: LocalStep
     ) -> tuple[SetContent[HeldSet], Failures]:
         """Carry every set to this step and cut the own one with the readings."""
-        own, held, _ = content
+        own, held = content.own, content.held
         if now.step > 0:
             own = own._replace(kept=predict_sets(self.shape, own.kept, now))
             if self.contends and own.known.any():
@@ -135,7 +135,7 @@ class SetMembership(Generic[HeldSet]):
         self, place: Place, content: SetContent[HeldSet], shares: HeldSet, heard: np.ndarray
     ) -> tuple[SetContent[HeldSet], Failures]:
         """Cut the own set with what came; in the first round of a step with what is held too."""
-        own, held, cycles = content
+        own, held, cycles, _ = content
         # Later in a step what is held has cut already.
         active = heard | held.known if cycles == 0 else heard
         others = chosen_sets(heard, shares, held.sets)

@@ -4,11 +4,14 @@ from functools import partial
 
 import numpy as np
 
+from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
-from concord.filters.smoother import Backward, backward, smooth
+from concord.filters.smoother import Backward, backward, backward_affine, smooth
+from concord.filters.square_root_filter import SquareRootFilter
 from concord.nodes.rules.local_filter import Model, with_state_noise
 from concord.nodes.rules.window_filter import WindowFilter, Windows
 
@@ -18,15 +21,23 @@ def way_back(
 ) -> Backward:
     """The way from `step`, into which `control` drove, back to beliefs (..., n) of the step before.
 
-    The sigma points are those of the filter; the usual ones for a filter without.
+    An extended filter goes back by its tangent. Other filters use their sigma points, or the usual
+    ones where they have none.
     """
     noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
     transition = partial(model.transition, control=control, step=step - 1)
-    return backward(beliefs, transition, noise_cov, _points(filter, beliefs.mean.shape[-1]))
+    n = beliefs.mean.shape[-1]
+    while isinstance(filter, IteratedFilter):
+        filter = filter.inner
+    if isinstance(filter, ExtendedFilter):
+        tangent = filter.linearise(beliefs, transition, n, np.subtract)
+        return backward_affine(beliefs, tangent, noise_cov)
+    return backward(beliefs, transition, noise_cov, _points(filter, n))
 
 
 def _points(filter: Filter, states: int) -> SigmaPointRule:
-    return filter.rule if isinstance(filter, SigmaPointFilter) else scaled_unscented(states)
+    has_points = isinstance(filter, SigmaPointFilter | SquareRootFilter)
+    return filter.rule if has_points else scaled_unscented(states)
 
 
 def smoothed_past(filter: WindowFilter, windows: Windows, most: int) -> Gaussian:

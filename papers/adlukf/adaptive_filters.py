@@ -1,56 +1,16 @@
-"""Filters whose noise is adapted as they go: belief and noise in, belief and noise out.
-
-Each joins one filter with one adaptation, so that what either brings can be told apart.
-"""
+"""The paper's dual layer with noise that is adapted: belief and noise in, belief and noise out."""
 
 import numpy as np
 
-from concord.filters import ukf
 from concord.filters.adaptive import sage_husa
 from concord.filters.adaptive.sage_husa import NoiseEstimate
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, moments
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
 from concord.filters.update import Update
-from concord.papers.adlukf import dual_layer, fuzzy_noise
+from concord.papers.adlukf import dual_layer
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from concord.papers.adlukf.fuzzy_noise import FuzzyNoise
 from concord.papers.adlukf.sage_husa_as_printed import NoiseEvidence, NoiseStatistics
-
-
-def update(
-    belief: Gaussian,
-    noise: NoiseEstimate,
-    measurement: np.ndarray,
-    measure: Model,
-    rule: SigmaPointRule,
-    *,
-    gate: float | None = None,
-    outlier_limit: float | None = None,
-) -> tuple[Update, NoiseEstimate]:
-    """`ukf.update` with the noise estimated so far, then that estimate by `sage_husa.adapt`.
-
-    Lanes whose normalised innovation squared exceeds the `gate` keep their belief; the noise
-    estimate takes the reading all the same, or it could never grow to let it in.
-
-    Raises:
-        ValueError: the rule, the noise, the measurement or the model's values do not fit.
-    """
-    after = ukf.update(belief, measurement, measure, noise.cov, rule, gate=gate)
-    left, spread = sage_husa.unexplained(after.belief, measurement, measure, rule, np.subtract)
-    return after, sage_husa.adapt(noise, left, spread, outlier_limit=outlier_limit)
-
-
-def fuzzy_update(
-    belief: Gaussian,
-    noise: FuzzyNoise,
-    measurement: np.ndarray,
-    measure: Model,
-    rule: SigmaPointRule,
-) -> tuple[Update, FuzzyNoise]:
-    """`ukf.update` with the noise estimated so far, then that estimate by `fuzzy_noise.adapt`."""
-    after = ukf.update(belief, measurement, measure, noise.cov, rule)
-    return after, fuzzy_noise.adapt(noise, after.innovation, after.innovation_cov)
 
 
 def dual_layer_step(

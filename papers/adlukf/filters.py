@@ -7,11 +7,16 @@ import numpy as np
 
 from concord.filters import ukf
 from concord.filters.adaptive import correntropy, sage_husa
+from concord.filters.adaptive.adaptive_filter import AdaptiveFilter
+from concord.filters.adaptive.fuzzy_noise import FuzzyMatching
+from concord.filters.adaptive.noise_law import NoiseLaw
+from concord.filters.adaptive.sage_husa import SageHusa
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 from concord.papers.adlukf import adaptive_filters as adaptive
-from concord.papers.adlukf import dual_layer, fuzzy_noise
+from concord.papers.adlukf import dual_layer
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
 
 Memory = Any
@@ -54,25 +59,30 @@ def _fixed(
     return step
 
 
-def _adaptive(
-    outlier_limit: float | None = None,
-) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
-    """A UKF that adapts R; `outlier_limit` as in `sage_husa.adapt`."""
+LAWS: dict[str, NoiseLaw[Any]] = {
+    "AUKF": SageHusa(),
+    "AUKF limited": SageHusa(outlier_limit=9.0),
+    "FAUKF": FuzzyMatching(),
+}
+"""How filters on the plain UKF learn R, with factors of the variances R0 that they start with."""
 
-    def step(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
-        moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
-        taken, noise = adaptive.update(
-            moved, noise, task.measurement, task.measure, UNSCENTED, outlier_limit=outlier_limit
+
+def _on_ukf(name: str, what: str) -> Contestant:
+    """A UKF that learns R by a law; its memory is R0 and what the law keeps."""
+    own = AdaptiveFilter(SigmaPointFilter(UNSCENTED), LAWS[name], UNSCENTED)
+
+    def begin(process_noise_cov: np.ndarray, variances: np.ndarray) -> Memory:
+        return _noise_cov(process_noise_cov, variances), own.begin(variances.shape)
+
+    def step(belief: Gaussian, memory: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
+        noise_cov, learnt = memory
+        moved = own.predict(belief, task.transition, task.process_noise_cov)
+        taken, learnt = own.update_and_learn(
+            moved, learnt, task.measurement, task.measure, noise_cov
         )
-        return taken.belief, noise
+        return taken.belief, (noise_cov, learnt)
 
-    return step
-
-
-def _fuzzy(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
-    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
-    taken, noise = adaptive.fuzzy_update(moved, noise, task.measurement, task.measure, UNSCENTED)
-    return taken.belief, noise
+    return Contestant(name, what, begin, step)
 
 
 def _robust(belief: Gaussian, noise_cov: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
@@ -120,10 +130,6 @@ def _sage_husa(_: np.ndarray, variances: np.ndarray) -> Memory:
     return sage_husa.begin(variances)
 
 
-def _fuzzy_noise(_: np.ndarray, variances: np.ndarray) -> Memory:
-    return fuzzy_noise.begin(variances)
-
-
 def _statistics(process_noise_cov: np.ndarray, variances: np.ndarray) -> Memory:
     return sage_husa_literal.begin(np.diagonal(process_noise_cov, axis1=-2, axis2=-1), variances)
 
@@ -133,7 +139,7 @@ CONTESTANTS = {
     for contestant in (
         Contestant("CKF", "cubature Kalman filter", _noise_cov, _fixed(CUBATURE)),
         Contestant("UKF", "unscented Kalman filter", _noise_cov, _fixed(UNSCENTED)),
-        Contestant("FAUKF", "UKF, R by fuzzy covariance matching", _fuzzy_noise, _fuzzy),
+        _on_ukf("FAUKF", "UKF, R by fuzzy covariance matching"),
         Contestant(
             "ADLUKF",
             "dual layer, R alone by Sage-Husa in residual form",
@@ -159,10 +165,8 @@ CONTESTANTS = {
             _noise_cov,
             _dual(dual_layer.consistent),
         ),
-        Contestant("AUKF", "ADLUKF's adaptation on a plain UKF", _sage_husa, _adaptive()),
-        Contestant(
-            "AUKF limited", "AUKF, a reading counts as 3 sigma at most", _sage_husa, _adaptive(9.0)
-        ),
+        _on_ukf("AUKF", "ADLUKF's adaptation on a plain UKF"),
+        _on_ukf("AUKF limited", "AUKF, a reading counts as 3 sigma at most"),
         Contestant("MCUKF", "maximum-correntropy UKF", _noise_cov, _robust),
     )
 }

@@ -232,7 +232,7 @@ def _central_means(
         if step:
             belief = predict_to_step(belief, controls[step - 1], step, plant.model, ukf).beliefs
         together = delivered.reshape(len(delivered), 1, -1)
-        belief, _ = update_with_readings(belief, together, step, every, ukf)
+        belief = update_with_readings(belief, together, step, every, ukf).belief
         means.append(belief.mean)
     return np.array(means)
 

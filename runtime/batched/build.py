@@ -34,7 +34,6 @@ from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import VehicleNetwork
 
 
 def without_array_form(scenario: Scenario) -> str | None:
@@ -42,8 +41,6 @@ def without_array_form(scenario: Scenario) -> str | None:
     definition = definition_of(scenario)
     if definition.wiring is not None:
         return f"scenario {scenario.name}"
-    if isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive:
-        return "noise that nodes learn (--adaptive)"
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
     for held in (scenario, *_set_in(scenario)):

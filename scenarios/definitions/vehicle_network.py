@@ -1,22 +1,15 @@
 """`vehicle-network`: a car's sensors as nodes on its FlexRay bus, one cycle of 5 ms a step.
 
 A --car is simulated with 29 states (CommonRoad) through a --manoeuvre, or a logged drive replayed
-with --data. Every node learns how noisy its own sensors are (--no-adaptive: believes their data
-sheets). --noise says what the sensors really do.
+with --data. Every node learns how noisy its own sensors are (with --filter ukf it believes their
+data sheets). --noise says what the sensors really do.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import NoiseEstimate
-from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.estimator import AnyEstimator
-from concord.nodes.messages import Measured, to_wire
-from concord.nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
-from concord.nodes.rules.local_filter import predict_to_step, update_with_own
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import read_car, read_folder
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
@@ -34,15 +27,12 @@ from concord.plants.vehicle.network import (
 )
 from concord.plants.vehicle.parameters import Car
 from concord.plants.vehicle.sensors import SensorError
-from concord.scenarios.filters import build_filter
-from concord.scenarios.node_context import NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.filters import AdaptiveUnscented
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import VehicleNetwork
-from concord.scenarios.types.rules import MeasurementFlooding
 from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
@@ -123,11 +113,6 @@ def _check(scenario: Scenario) -> None:
             "--nodes out"
         )
     vehicle = vehicle_of(scenario)
-    if vehicle.adaptive and isinstance(scenario.rule, MeasurementFlooding):
-        raise ValueError(
-            "rule labelled sends readings, whose noise every node takes from the data sheet: use "
-            "--no-adaptive with it, or rule ci"
-        )
     simulated_only = [
         f"--{option} {getattr(vehicle, option)}"
         for option in ("car", "manoeuvre", "noise")
@@ -146,48 +131,13 @@ def _check(scenario: Scenario) -> None:
         )
 
 
-def _estimator_wrapper(
-    scenario: Scenario, context: NodeContext, rule: AnyEstimator
-) -> AnyEstimator:
-    if not vehicle_of(scenario).adaptive:
-        return rule
-    assert context.sensor is not None, "every node of the car has a sensor"
-    return AdaptiveNoise(rule, context.sensor, scaled_unscented(len(context.prior.mean)))
-
-
-def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
-    """Beliefs (steps,) of one filter that takes the readings of these nodes, and learns as they."""
-    scenario = setup.scenario
-    model, points = _model(scenario), scaled_unscented(len(setup.prior_mean))
-    own_filter = build_filter(scenario.filter, len(setup.prior_mean))
-    belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    sensors = {node: _sensor(scenario, node) for node in nodes}
-    noises: dict[int, NoiseEstimate] = {}
-    means, covs = [], []
-    for step, delivered in enumerate(readings):
-        if step > 0:
-            belief = predict_to_step(belief, None, step, model, own_filter).beliefs
-        for node, own in sensors.items():
-            measured = Measured(node, step, to_wire(delivered[node]))
-            taken = own
-            if node in noises:
-                taken = AdaptedSensor(own, noises[node])
-            belief, _ = update_with_own(belief, measured, taken, own_filter)
-            for reading in delivered[node]:
-                if vehicle_of(scenario).adaptive and not np.isnan(reading).all():
-                    noise = noises.get(node) or declared_noise(own, reading)
-                    noises[node] = learn(noise, belief, reading, own, points, step)
-        means.append(belief.mean)
-        covs.append(belief.cov)
-    return Gaussian(np.array(means), np.array(covs))
-
-
 DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=VehicleNetwork(),
         network=SensorNetwork(nodes=len(NODES), graph="complete"),
         rounds=1,
         bus=FlexRay(cluster="audi"),
+        filter=AdaptiveUnscented(),
         steps=1,
     ),
     check=_check,
@@ -197,6 +147,4 @@ DEFINITION = ScenarioDefinition(
     # The side slip is what the car is estimated for, and what a log may know.
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=lambda scenario: _plant(scenario).steps,
-    estimator_wrapper=_estimator_wrapper,
-    baseline_filter=_baseline_filter,
 )

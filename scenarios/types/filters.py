@@ -19,6 +19,14 @@ class CubatureFilter(FilterBase, frozen=True, kw_only=True, tag="ckf"):
     """Cubature Kalman filter: sigma points of equal positive weights."""
 
 
+class SquareRootUnscented(FilterBase, frozen=True, kw_only=True, tag="srukf"):
+    """Unscented Kalman filter in square-root form: no difference of covariances."""
+
+
+class SquareRootCubature(FilterBase, frozen=True, kw_only=True, tag="srckf"):
+    """Cubature Kalman filter in square-root form: no difference of covariances."""
+
+
 class TangentFilter(FilterBase, frozen=True, kw_only=True, tag="ekf"):
     """Extended Kalman filter, with Jacobians by central differences."""
 
@@ -52,6 +60,49 @@ class MaximumCorrentropy(PassesFilter, frozen=True, kw_only=True, tag="mcukf"):
     ] = 3.0
 
 
+class NoiseLearningFilter(FilterBase, frozen=True, kw_only=True):
+    """A filter that learns the noise of its own sensor."""
+
+    least_noise: Annotated[
+        float,
+        Option("Least learnt variance of a channel, as a part of that of its data sheet.", above=0,
+               at_most=1),
+    ] = 1.0  # fmt: skip
+    most_noise: Annotated[
+        float,
+        Option("Largest learnt variance of a channel, as a multiple of that of its data sheet.",
+               at_least=1),
+    ] = 1e4  # fmt: skip
+
+
+class SageHusaBase(NoiseLearningFilter, frozen=True, kw_only=True):
+    """A filter that learns noise by a fading average."""
+
+    forgetting: Annotated[
+        float, Option("Weight of the past in the learnt noise.", above=0, below=1)
+    ] = 0.98
+    outlier_limit: Annotated[
+        float,
+        Option("Most that a reading counts, as a multiple of the variance learnt so far.", above=1),
+    ] = 100.0
+
+
+class AdaptiveUnscented(SageHusaBase, frozen=True, kw_only=True, tag="aukf"):
+    """Adaptive unscented Kalman filter: learns R by Sage and Husa's fading average."""
+
+
+class FuzzyUnscented(NoiseLearningFilter, frozen=True, kw_only=True, tag="faukf"):
+    """Fuzzy adaptive unscented Kalman filter: learns R from the size of innovations."""
+
+    innovations: Annotated[
+        int, Option("Innovations of a channel that the filter looks back on.", at_least=2)
+    ] = 30
+
+
+class AdaptiveDualLayer(SageHusaBase, frozen=True, kw_only=True, tag="adlukf"):
+    """Adaptive dual-layer unscented Kalman filter, each reading counted once; learns R."""
+
+
 class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"):
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
@@ -77,11 +128,16 @@ class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
 FilterChoice = (
     UnscentedFilter
     | CubatureFilter
+    | SquareRootUnscented
+    | SquareRootCubature
     | TangentFilter
     | LinearFilter
     | PosteriorLinearisation
     | IteratedTangentFilter
     | MaximumCorrentropy
+    | AdaptiveUnscented
+    | FuzzyUnscented
+    | AdaptiveDualLayer
     | RecommendedFilter
     | UserFilter
 )

@@ -37,7 +37,6 @@ class ScenarioOptions(TypedDict, total=False):
     static_slots: int
     car: str
     manoeuvre: str
-    adaptive: bool
     nodes: int
     graph: GRAPH
     weights: str
@@ -78,6 +77,11 @@ class ScenarioOptions(TypedDict, total=False):
     filter: FILTER
     iterations: int
     bandwidth: float
+    least_noise: float
+    most_noise: float
+    forgetting: float
+    outlier_limit: float
+    innovations: int
     steps: int
     seed: int
     run: int
@@ -95,7 +99,6 @@ class SweptOptions(TypedDict, total=False):
     static_slots: Sequence[int] | np.ndarray | int
     car: Sequence[str] | np.ndarray | str
     manoeuvre: Sequence[str] | np.ndarray | str
-    adaptive: Sequence[bool] | np.ndarray | bool
     nodes: Sequence[int] | np.ndarray | int
     graph: Sequence[GRAPH] | np.ndarray | GRAPH
     weights: Sequence[str] | np.ndarray | str
@@ -136,6 +139,11 @@ class SweptOptions(TypedDict, total=False):
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
     bandwidth: Sequence[float] | np.ndarray | float
+    least_noise: Sequence[float] | np.ndarray | float
+    most_noise: Sequence[float] | np.ndarray | float
+    forgetting: Sequence[float] | np.ndarray | float
+    outlier_limit: Sequence[float] | np.ndarray | float
+    innovations: Sequence[int] | np.ndarray | int
     steps: Sequence[int] | np.ndarray | int
     seed: Sequence[int] | np.ndarray | int
     run: Sequence[int] | np.ndarray | int

@@ -97,7 +97,7 @@ class StochasticNetwork(MeasuredPlantChoice, frozen=True, kw_only=True, tag="men
 
 
 class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-network"):
-    """A car's sensors on its FlexRay bus estimate its motion; learns its sensors' noise."""
+    """A car's sensors on its FlexRay bus estimate its motion; `aukf` learns their noise."""
 
     car: Annotated[
         str, Option("Which car is simulated: bmw-320i, bmw-320i-soft, ford-escort or vw-vanagon.")
@@ -109,7 +109,6 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
         Literal["matched", "growing", "small", "outliers", "biased"],
         Option("Noise of the sensors of the car."),
     ] = "growing"
-    adaptive: Annotated[bool, Option("Let nodes learn the noise of their own sensors.")] = True
     data: Annotated[str | None, DATA] = None
 
 

@@ -6,6 +6,7 @@ No process is left behind, and the recording can be read.
 import json
 import os
 import random
+import shlex
 import signal
 import subprocess
 import sys
@@ -41,7 +42,7 @@ MOMENTS = {
 
 def run_command(driver: str, steps: int) -> list[str]:
     options = f"--scenario oscillator --nodes 4 --steps {steps} --driver {driver} --out run"
-    return [*CONCORD, "run", *options.split()]
+    return [*CONCORD, "run", *shlex.split(options)]
 
 
 def check_folder(folder: Path) -> int:
@@ -117,12 +118,15 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "scenario",
-    ["oscillator --graph ring --nodes 8200 --bus ideal", "vehicle-network --adaptive --nodes 4"],
+    [
+        "oscillator --graph ring --nodes 8200 --bus ideal",
+        "vehicle-network --filter ukf --changes '1 corrupt 0.01'",
+    ],
     ids=["one run at a time is as much as fits", "message by message"],
 )
 def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, scenario: str):
     options = f"--scenario {scenario} --steps 2 --driver batched --runs 20 --out run --json"
-    with family([*CONCORD, "run", *options.split()], tmp_path) as run:
+    with family([*CONCORD, "run", *shlex.split(options)], tmp_path) as run:
         run.await_line("8 of 40")  # after a fifth of the runs
         run.send_to_group(signal.SIGINT)
         code, said, err = run.end(3 * PATIENCE_S)

@@ -18,7 +18,7 @@ from concord.experiments.monte_carlo.other_runs import OtherRuns, Question, expe
 from concord.experiments.priority import give_way
 from concord.filters.gaussian import Gaussian
 from concord.runtime.drivers import in_memory
-from concord.scenarios.baselines import baseline_step
+from concord.scenarios.baselines import BaselineContent, baseline_step
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
@@ -45,7 +45,8 @@ def test_the_band_is_that_of_runs_message_by_message():
 def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
     told = told_by(SETUP, 3)
     listen = baseline_step(SETUP, list(range(4)))
-    belief = Gaussian(np.array(SETUP.prior_mean), np.array(SETUP.prior_cov))
+    prior = Gaussian(np.array(SETUP.prior_mean), np.array(SETUP.prior_cov))
+    content = BaselineContent(prior)
     taken = {}
     for topic, data in in_memory(SETUP):
         if topic.startswith("measured/"):
@@ -54,8 +55,8 @@ def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
     states = list(definition_named("oscillator").score.states)
     for step in range(25):
         readings = np.array([taken[step, node] for node in range(4)], dtype=float)
-        belief = listen(belief, step, readings, None)
-        bound = np.sqrt(np.diagonal(belief.cov)[states].sum())
+        content = listen(content, step, readings, None)
+        bound = np.sqrt(np.diagonal(content.belief.cov)[states].sum())
         assert told.bound[step] == pytest.approx(bound, rel=1e-6)
 
 

@@ -59,6 +59,25 @@ def test_linear_models_give_the_kalman_filter(name: str, lanes: tuple[int, ...])
     )
 
 
+@pytest.mark.parametrize(("form", "plain"), [("srukf", "ukf"), ("srckf", "ckf")])
+def test_the_square_root_forms_are_their_filters(form: str, plain: str):
+    """Over 200 steps of a turn, with readings that are partly or wholly missing."""
+    generator = np.random.default_rng(11)
+    z = range_bearing(TURN_START.mean) + generator.standard_normal((200, 2)) * [20.0, 0.05]
+    z[::7, 0], z[::5] = np.nan, np.nan
+    found = {}
+    for name in (form, plain):
+        own, belief = built(name, 5), TURN_START
+        for reading in z:
+            belief = own.predict(belief, turn, np.diag([1.0, 0.1, 1.0, 0.1, 1e-6]))
+            belief = own.update(
+                belief, reading, range_bearing, RANGE_BEARING_NOISE_COV, residual=bearing_residual
+            ).belief
+        found[name] = belief
+    for one, other in zip(found[form], found[plain], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", CHOICES)
 def test_a_wild_reading_does_not_pass_a_gate(name: str):
     own = built(name, 5)

@@ -1,13 +1,16 @@
 """Several steps of tracking against filterpy and Stone Soup, which share no code with us."""
 
 from datetime import datetime, timedelta
+from typing import Any
 
 import numpy as np
 import pytest
 
 from concord.filters import ukf
+from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
+from concord.filters.smoother import backward, backward_affine, smooth
 from tests.filters.support import (
     RANGE_BEARING_NOISE_COV,
     SENSOR_POSITION_M,
@@ -124,6 +127,62 @@ def test_filterpy_agrees_to_rounding(kind):
         peer.predict()
         peer.update(measurement)
         assert_close(belief, peer.x, peer.P, 1e-12)
+
+
+def test_filterpys_unscented_smoother_agrees_to_rounding():
+    """On a turn, over the whole history of its own filter."""
+    peer = filterpy_filter(
+        TURN_START,
+        turn,
+        TURN_NOISE_COV,
+        range_bearing,
+        RANGE_BEARING_NOISE_COV,
+        bearing_residual,
+    )
+    track = turn_track(np.random.default_rng(9), STEPS)
+    means, covs, _, _ = filterpy_history(peer, track)
+    smoothed, smoothed_covs, _ = peer.rts_smoother(means, covs)
+    history, rule = Gaussian(means, covs), scaled_unscented(5)
+    ways = [
+        backward(Gaussian(mean, cov), turn, TURN_NOISE_COV, rule)
+        for mean, cov in zip(means[:-1], covs[:-1], strict=True)
+    ]
+    ours = smooth(history, ways)
+    for step in range(len(track)):
+        belief = Gaussian(ours.mean[step], ours.cov[step])
+        assert_close(belief, smoothed[step], smoothed_covs[step], 1e-9)
+
+
+def test_filterpys_linear_smoother_agrees_to_rounding():
+    from filterpy.kalman import KalmanFilter
+
+    n, track = len(CRUISE_START.mean), cruise_track()
+    peer: Any = KalmanFilter(dim_x=n, dim_z=len(POSITION_NOISE_COV))
+    peer.x, peer.P = CRUISE_START.mean.copy(), CRUISE_START.cov.copy()
+    peer.F, peer.Q, peer.R = CRUISE, CRUISE_NOISE_COV, POSITION_NOISE_COV
+    peer.H = positions(np.eye(n)).T
+    means, covs, _, _ = filterpy_history(peer, track)
+    smoothed, smoothed_covs, _, _ = peer.rts_smoother(means, covs)
+    nothing = np.zeros((n, n))
+    ways = [
+        backward_affine(Gaussian(mean, cov), Affine(CRUISE @ mean, CRUISE, nothing), peer.Q)
+        for mean, cov in zip(means[:-1], covs[:-1], strict=True)
+    ]
+    ours = smooth(Gaussian(means, covs), ways)
+    for step in range(len(track)):
+        belief = Gaussian(ours.mean[step], ours.cov[step])
+        assert_close(belief, smoothed[step], smoothed_covs[step], 1e-9)
+
+
+def filterpy_history(peer, track):
+    """Means and covariances after each measurement, and before it."""
+    kept = []
+    for measurement in track:
+        peer.predict()
+        before = peer.x.copy(), peer.P.copy()
+        peer.update(measurement)
+        kept.append((peer.x.copy(), peer.P.copy(), *before))
+    return tuple(np.array(part) for part in zip(*kept, strict=True))
 
 
 def stone_soup_beliefs(start, transition_model, measurement_model, measurements):

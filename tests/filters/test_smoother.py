@@ -8,8 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.filters import ukf
+from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
-from concord.filters.smoother import Backward, backward, smooth, smooth_with_lags
+from concord.filters.smoother import (
+    Backward,
+    backward,
+    backward_affine,
+    smooth,
+    smooth_with_lags,
+)
 from tests.filters import kalman
 from tests.filters.support import RULE_NAMES, random_belief, random_spd, rules, turn
 
@@ -88,6 +95,55 @@ def test_on_linear_models_it_is_least_squares_over_the_whole_history(rule: str, 
     expected = least_squares(of, STEPS)
     np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_smoother_of_affine_models_is_least_squares_too(seed: int):
+    of = system(seed)
+    history, _ = filtered(of, "unscented")
+    found = smooth(history, affine_ways(of, history))
+    expected = least_squares(of, STEPS)
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-8, atol=1e-9)
+
+
+def affine_ways(of: Linear, history: Gaussian) -> list[Backward]:
+    nothing = np.zeros_like(of.Q)
+    return [
+        backward_affine(Gaussian(mean, cov), Affine(of.F @ mean, of.F, nothing), of.Q)
+        for mean, cov in zip(history.mean[:-1], history.cov[:-1], strict=True)
+    ]
+
+
+def test_a_state_that_is_known_at_the_start_is_the_limit_of_a_small_variance():
+    """The points of the unscented form need a factor of the covariance, which a zero has not."""
+    of = system(1)
+    known, nearly = (
+        of._replace(prior=Gaussian(of.prior.mean, np.diag([variance, 1.0, 2.0])))
+        for variance in (0.0, 1e-10)
+    )
+    exact, unscented = (filtered_by_hand(one) for one in (known, nearly))
+    found = smooth(exact, affine_ways(known, exact))
+    expected = least_squares(nearly, STEPS)
+    np.testing.assert_allclose(found.mean, expected.mean, atol=1e-6)
+    np.testing.assert_allclose(found.cov, expected.cov, atol=1e-6)
+    assert np.isnan(
+        backward(
+            Gaussian(exact.mean[0], known.prior.cov), lambda x: x, of.Q, rules(3)["cubature"]
+        ).predicted.cov
+    ).all()
+    np.testing.assert_allclose(unscented.mean, exact.mean, atol=1e-6)
+
+
+def filtered_by_hand(of: Linear) -> Gaussian:
+    """The Kalman filter's history."""
+    belief, history = of.prior, []
+    for step, reading in enumerate(of.readings):
+        if step > 0:
+            belief = kalman.predict(belief, of.F, of.Q)
+        belief = kalman.update(belief, reading, of.H, of.R).belief
+        history.append(belief)
+    return Gaussian(*(np.stack(values) for values in zip(*history, strict=True)))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,8 +8,10 @@ import pytest
 from concord.filters import square_root, ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import cubature, scaled_unscented
-from tests.filters.support import random_belief, random_spd
+from concord.filters.square_root_filter import SquareRootFilter
+from tests.filters.support import random_belief, random_spd, turn
 
 Matrix = list[list[Fraction]]
 
@@ -104,3 +106,46 @@ def test_an_entry_that_was_not_taken_asks_for_no_other_form():
     assert square_root.cancels(cov, noise_cov, missing) is None
     taken = np.array([[np.nan, np.nan], [np.nan, 0.5]])
     np.testing.assert_array_equal(square_root.cancels(cov, noise_cov, taken), [False, True])
+
+
+@pytest.mark.parametrize("lanes", [(), (4, 3)])
+def test_a_prediction_by_factors_is_that_of_covariances(lanes: tuple[int, ...]):
+    generator = np.random.default_rng(4)
+    belief, Q = random_belief(generator, lanes, 5), random_spd(generator, (), 5)
+    for rule in (scaled_unscented(5), cubature(5)):
+        for noise_cov in (Q, np.diag([1.0, 0.0, 2.0, 0.0, 0.0]), np.zeros((5, 5))):
+            found = SquareRootFilter(rule).predict(belief, turn, noise_cov)
+            expected = ukf.predict(belief, turn, noise_cov, rule)
+            np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-9, atol=1e-9)
+
+
+def test_an_update_by_factors_keeps_digits_that_a_difference_loses():
+    """At a ratio of 1e9 the other form is still used by the `ukf`, and errs by 3e-6."""
+    generator = np.random.default_rng(5)
+    worst = {"factors": 0.0, "difference": 0.0}
+    for _ in range(20):
+        P, R = 1e9 * random_spd(generator, (), 3), random_spd(generator, (), 2)
+        root = np.linalg.cholesky(posterior_cov(P, R)[:2, :2])
+        belief = Gaussian(np.zeros(3), P)
+        for name, filter in (
+            ("factors", SquareRootFilter(scaled_unscented(3))),
+            ("difference", SigmaPointFilter(scaled_unscented(3))),
+        ):
+            cov = filter.update(belief, np.ones(2), two, R).belief.cov[:2, :2]
+            whitened = np.linalg.solve(root, np.linalg.solve(root, cov).T)
+            worst[name] = max(worst[name], np.abs(whitened - np.eye(2)).max())
+    assert worst["factors"] < 1e-10 and worst["difference"] > 1e-8
+
+
+def test_a_lane_without_a_number_fails_alone():
+    generator = np.random.default_rng(6)
+    belief, Q = random_belief(generator, (3,), 5), np.repeat(np.eye(5)[None], 3, axis=0)
+    Q[1, 0, 0] = np.nan
+    found = SquareRootFilter(cubature(5)).predict(belief, turn, Q)
+    assert np.isnan(found.cov[1]).all() and np.isfinite(found.cov[[0, 2]]).all()
+
+
+def test_sigma_points_with_a_negative_weight_are_refused():
+    with pytest.raises(ValueError, match=r"negative weight.*--filter srckf"):
+        SquareRootFilter(scaled_unscented(12))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.filters import ukf
@@ -57,6 +58,28 @@ def test_the_kalman_filter_runs_on_linear_plants_as_the_unscented_one(name: str)
         np.testing.assert_allclose(found[one].mean, found["kf"].mean, rtol=1e-6, atol=1e-6 * scale)
 
 
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "diffusion"])
+@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "kf"])
+def test_batches_give_the_numbers_of_messages(name: str, rule: str):
+    """With a node that dies and begins anew, which forgets, and sensors that see at times."""
+    options = {"nodes": 5, "graph": "complete", "steps": 14, "changes": ("4 kill 2", "8 restart 2")}
+    asked = scenario_of("target-tracking", filter=name, rule=rule, **options)
+    setup = prepare(asked)
+    trace = read_trace(setup, in_memory(setup))
+    histories = simulate(setup, [asked.run])
+    np.testing.assert_allclose(histories.mean[0], trace.mean, rtol=1e-9, atol=1e-9)
+    alone = local_only(setup, trace.readings, None)
+    assert np.isfinite(alone.mean).all()
+
+
+@pytest.mark.parametrize("name", ["aukf", "faukf", "adlukf"])
+def test_records_are_refused_to_a_filter_that_learns(name: str):
+    with pytest.raises(ValueError, match=rf"rule labelled with --filter {name}: .* --filter ukf"):
+        prepare(scenario_of("oscillator", filter=name, rule="labelled"))
+    with pytest.raises(ValueError, match="at least 1"):
+        prepare(scenario_of("oscillator", filter=name, most_noise=0.5))
+
+
 def test_a_filter_of_a_measurement_bus_is_refused_elsewhere():
     with pytest.raises(ValueError, match="--filter recommended: it is for --scenario meng2025"):
         prepare(scenario_of("oscillator", filter="recommended"))
@@ -102,7 +125,7 @@ def test_the_centralised_filter_takes_readings_one_by_one_in_the_order_of_the_no
 
 def test_baselines_use_the_filter_of_the_scenario():
     """Where a node hears nobody it is its own baseline, whatever its filter."""
-    for name in ("ukf", "ekf", "iplf", "mcukf"):
+    for name in ("ukf", "srukf", "iplf", "mcukf", "aukf", "faukf"):
         asked = scenario_of("target-tracking", nodes=4, steps=20, filter=name, rule="local")
         setup = prepare(asked)
         trace = read_trace(setup, in_memory(setup))

@@ -103,7 +103,7 @@ PLANTS = {
     "target-tracking": {"occupancy": 0.25},
     "meng2025-network": {"occupancy": 0.5},
     "liu2021-network": {"occupancy": 0.5, "record_number": "float32"},
-    "vehicle-network": {"adaptive": False},
+    "vehicle-network": {"filter": "ukf"},
     "target-crossing": {"occupancy": 0.25, "schedule": "dynamic", "relay": True},
     "oscillator": {"occupancy": 0.5, "schedule": "hybrid-leaves"},
     "cruise-control": {"stretch": 2.0},

@@ -11,14 +11,15 @@ import pytest
 
 from concord.experiments.results.bus_report import figures_of
 from concord.experiments.results.trace import Trace, read_trace
-from concord.nodes.rules.adaptive_noise import AdaptiveNoise
+from concord.filters.filter import LearningFilter
+from concord.nodes.messages import Measured
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import write_drive
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import SIDE_SLIP, STATE_NAMES
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import local_only
-from concord.scenarios.build import build_node
+from concord.scenarios.build import build_node, filter_of
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
@@ -56,13 +57,13 @@ def test_the_network_is_better_than_each_node_alone_in_every_state(noise):
 def test_estimates_are_consistent_while_the_noise_grows():
     """With the data sheets believed they are not: that is what learning is for."""
     nees = {}
-    for adaptive in (True, False):
-        trace = run(setup(adaptive=adaptive, steps=1600, noise="growing"))
+    for filter in ("aukf", "ukf"):
+        trace = run(setup(filter=filter, steps=1600, noise="growing"))
         error = (trace.mean - trace.truth[:, None])[900:]
         cov = trace.cov[900:]
-        nees[adaptive] = float((error[..., None, :] @ np.linalg.inv(cov) @ error[..., None]).mean())
-    assert nees[True] < 6 * 1.3
-    assert nees[True] < 0.7 * nees[False]
+        nees[filter] = float((error[..., None, :] @ np.linalg.inv(cov) @ error[..., None]).mean())
+    assert nees["aukf"] < 6 * 1.3
+    assert nees["aukf"] < 0.7 * nees["ukf"]
 
 
 def test_the_bus_is_the_cars():
@@ -103,9 +104,12 @@ def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
 
 
 def test_nodes_learn_only_if_they_are_told_to():
-    assert isinstance(build_node(setup(steps=2), 0).estimator, AdaptiveNoise)
-    plain = build_node(setup(steps=2, adaptive=False), 0)
-    assert not isinstance(plain.estimator, AdaptiveNoise)
+    for options, learns in (({}, True), ({"filter": "ukf"}, False)):
+        prepared = setup(steps=2, **options)
+        assert isinstance(filter_of(prepared), LearningFilter) == learns
+        estimator = build_node(prepared, 0).estimator
+        content, _ = estimator.begin_step(estimator.start(), Measured(0, 0, [[20.0, 20.0, None]]))
+        assert (content.memory != (None,)) == learns
 
 
 @pytest.mark.parametrize(
@@ -115,7 +119,7 @@ def test_nodes_learn_only_if_they_are_told_to():
         ({"noise": "paper"}, "Valid names are matched"),
         ({"nodes": 5}, "wheel speeds, inertial unit"),
         ({"steps": 5000}, "the drive has 2401 steps of 5 ms"),
-        ({"rule": "labelled"}, "--no-adaptive"),
+        ({"rule": "labelled", "cluster": "fitted"}, "--filter aukf: .* use --filter ukf"),
         ({"cluster": "demo"}, "--stretch 2"),
         ({"data": "/nowhere"}, "no such folder"),
         ({"car": "lada"}, "Valid names are bmw-320i"),

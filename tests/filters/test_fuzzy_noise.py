@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from concord.papers.adlukf import fuzzy_noise
-from concord.papers.adlukf.fuzzy_noise import GROW, SHRINK, WINDOW, factor
+from concord.filters.adaptive import fuzzy_noise
+from concord.filters.adaptive.fuzzy_noise import GROW, SHRINK, WINDOW, factor
+from concord.filters.adaptive.sage_husa import Bounds
 
-UNIT = np.eye(1)
+UNIT = np.ones(1)
+LIMITS = Bounds(1e-8, 1e4)
 
 
 def feed(noise, innovations, expected=UNIT):
     for innovation in innovations:
-        noise = fuzzy_noise.adapt(noise, np.array([innovation]), expected)
+        noise = fuzzy_noise.adapt(noise, np.array([innovation]), expected, LIMITS)
     return noise
 
 
@@ -54,5 +56,5 @@ def test_it_settles_where_innovations_are_what_is_expected(start):
     noise = fuzzy_noise.begin(np.full((100, 1), start))
     for _ in range(400):
         innovation = generator.standard_normal((100, 1))
-        noise = fuzzy_noise.adapt(noise, innovation, noise.cov)
+        noise = fuzzy_noise.adapt(noise, innovation, noise.variances)
     assert abs(np.log(noise.variances).mean()) < 0.15

@@ -9,22 +9,23 @@ data fusion architectures (covariance matching with a fuzzy rule base). Sets and
 here, for the paper that compares with such a filter gives none.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import Bounds
-from concord.papers.adlukf.sage_husa_as_printed import MEASUREMENT_BOUNDS
+from concord.filters.adaptive.noise_law import ReadingEvidence
+from concord.filters.adaptive.sage_husa import UNBOUNDED, Bounds
 
 WINDOW = 30
-"""Innovations of a channel that are looked back on."""
+"""Innovations of a channel that are looked back on, unless a caller says."""
 
 SHRINK, KEEP, GROW = 0.9, 1.0, 1.1
 """Factors of the rules: small, equal and large."""
 
 
 class FuzzyNoise(NamedTuple):
-    """Variances (..., m), and the squared innovations last seen (..., WINDOW, m), NaN for none."""
+    """Variances (..., m), and the squared innovations last seen (..., window, m), NaN for none."""
 
     variances: np.ndarray
     squared: np.ndarray
@@ -35,18 +36,18 @@ class FuzzyNoise(NamedTuple):
         return self.variances[..., None] * np.eye(self.variances.shape[-1])
 
 
-def begin(variances: np.ndarray) -> FuzzyNoise:
+def begin(variances: np.ndarray, window: int = WINDOW) -> FuzzyNoise:
     """The estimate before the first reading, variances (..., m)."""
     variances = np.asarray(variances, dtype=float)
     lanes, m = variances.shape[:-1], variances.shape[-1]
-    return FuzzyNoise(variances, np.full((*lanes, WINDOW, m), np.nan))
+    return FuzzyNoise(variances, np.full((*lanes, window, m), np.nan))
 
 
 def adapt(
     noise: FuzzyNoise,
     innovation: np.ndarray,
-    innovation_cov: np.ndarray,
-    bounds: Bounds = MEASUREMENT_BOUNDS,
+    expected: np.ndarray,
+    bounds: Bounds = UNBOUNDED,
 ) -> FuzzyNoise:
     """The estimate after one reading more.
 
@@ -55,14 +56,13 @@ def adapt(
     Args:
         noise: the estimate so far.
         innovation: (..., m); NaN was not taken.
-        innovation_cov: what the filter expected, (..., m, m).
+        expected: variances of the innovations that the filter expected, (..., m).
         bounds: limits of every variance.
     """
     taken = np.isfinite(innovation)
     squared = np.broadcast_to(noise.squared, (*innovation.shape[:-1], *noise.squared.shape[-2:]))
     shifted = np.concatenate([squared[..., 1:, :], innovation[..., None, :] ** 2], axis=-2)
     squared = np.where(taken[..., None, :], shifted, squared)
-    expected = np.diagonal(innovation_cov, axis1=-2, axis2=-1)
     # Not a number until the window is full, and wherever the filter expects nothing sensible.
     sensible = taken & (expected > 0)
     ratio = squared.mean(axis=-2) / np.where(sensible, expected, np.nan)
@@ -71,6 +71,27 @@ def adapt(
         taken, np.clip(scale * noise.variances, bounds.low, bounds.high), noise.variances
     )
     return FuzzyNoise(variances, squared)
+
+
+@dataclass(frozen=True)
+class FuzzyMatching:
+    """`adapt` as a `concord.filters.adaptive.noise_law.NoiseLaw`; limits are factors of the
+    variance of the data sheet."""
+
+    window: int = WINDOW
+    bounds: Bounds = UNBOUNDED
+
+    def begin(self, shape: tuple[int, ...]) -> FuzzyNoise:
+        """The data sheet."""
+        return begin(np.ones(shape), self.window)
+
+    def factors(self, memory: FuzzyNoise) -> np.ndarray:
+        """Variances learnt over those of the data sheet, (..., m)."""
+        return memory.variances
+
+    def adapt(self, memory: FuzzyNoise, evidence: ReadingEvidence) -> FuzzyNoise:
+        """The memory after one reading more."""
+        return adapt(memory, evidence.innovation, evidence.expected, self.bounds)
 
 
 def factor(ratio: np.ndarray) -> np.ndarray:

@@ -1,0 +1,39 @@
+"""The interface of a law by which a filter learns the noise of a sensor; what the law is told."""
+
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+Memory = TypeVar("Memory")
+
+
+class ReadingEvidence(NamedTuple):
+    """Evidence of a reading about its noise, in standard deviations of the data sheet, and squared.
+
+    Attributes:
+        innovation: (..., m), reading minus prediction; NaN for a channel that was not taken.
+        expected: (..., m), its variance with the noise learnt so far.
+        residual: (..., m), reading minus what the posterior predicts.
+        spread: (..., m), variance of that prediction.
+    """
+
+    innovation: np.ndarray
+    expected: np.ndarray
+    residual: np.ndarray
+    spread: np.ndarray
+
+
+class NoiseLaw(Protocol[Memory]):
+    """A law by which the noise of a sensor is learnt."""
+
+    def begin(self, shape: tuple[int, ...]) -> Memory:
+        """The memory before the first reading (..., m) of this shape."""
+        ...
+
+    def factors(self, memory: Memory) -> np.ndarray:
+        """Variances learnt over those of the data sheet, (..., m)."""
+        ...
+
+    def adapt(self, memory: Memory, evidence: ReadingEvidence) -> Memory:
+        """The memory after one reading more; NaN leaves a channel alone."""
+        ...
