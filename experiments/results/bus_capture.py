@@ -156,7 +156,7 @@ def on_the_wire(traffic: Traffic, frame: FrameOnBus) -> Iterator[Captured]:
             yield Captured(frame.time_us, formats.on_channel(frame.data, channel), channel)
         return
     whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame.data, traffic.bus)
-    collision = collides(faults, way)
+    collision = collides(faults, way, traffic.bus.schedule)
     for channel in frame.place.channel:
         if carries(faults, way, faults.equipment.channels.index(channel)):
             body = on_channel(formats, whole, channel)

@@ -147,6 +147,7 @@ class OracleLedger:
             self.record.faults(config, step),
             way,
             sent.frame,
+            sender in config.schedule.contenders(sent.cycle),
             lambda node: config.bus.in_slot_of(sent.frame, node, sent.cycle) is not None,
         )
 

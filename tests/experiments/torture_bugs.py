@@ -161,7 +161,7 @@ BUGS = (
         "a guardian blocks nobody",
         "concord.nodes.faults.links",
         "collides",
-        (('if faults.at("guardian", way.step):', "if False:"),),
+        (('if owned and faults.at("guardian", way.step):', "if False:"),),
     ),
     Bug(
         "a channel that loses some frames loses all",
