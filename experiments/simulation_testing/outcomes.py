@@ -109,19 +109,18 @@ def _obstacles(faults: Faults, way: Passage, is_contended: bool) -> list[tuple[s
         _makes_noise(faults, way, nodes[0]) for kind, nodes in faults.standing if kind == "babble"
     ):
         found.append(("babble", "rejected"))
-    fails = [_at(faults, "channel", way.step, place) for place in range(len(_channels(faults)))]
+    # A frame on one channel alone has no other way.
+    letters = [*faults.equipment.channels]
+    used = [letters.index(letter) for letter in way.channels] or range(len(letters))
+    fails = {place: _at(faults, "channel", way.step, place) for place in used}
     if all(
         chance is not None
         and faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
         < chance[0]
-        for place, chance in enumerate(fails)
+        for place, chance in fails.items()
     ):
         found.append(("channel", "lost"))
     return found
-
-
-def _channels(faults: Faults) -> str:
-    return faults.equipment.channels
 
 
 def _ahead_us(faults: Faults, way: Passage, node: int) -> float:

@@ -31,12 +31,13 @@ from concord.scenarios.preparation import complete_settings, prepare, with_setti
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import ALL_CHANNELS, FlexRay
 
 # These words, beside the fault words, begin no fault.
 OTHER_WORDS = ("restart", "heal", "set")
 WORDS = (*EVERY_FAULT, *OTHER_WORDS)
 # These words change no share that a receiver uses. A guardian blocks a babbling node where every
-# slot has an owner, and one of two channels delivers every frame.
+# slot has an owner, and one of two channels delivers every frame that is on both.
 HARMLESS = ("duplicate", "reorder", "replay", "spoof", "guardian", "babble", "channel")
 
 _SETTINGS: dict[str, tuple[Any, ...]] = {
@@ -93,7 +94,14 @@ def is_harmless(scenario: Scenario) -> bool:
         if not (is_guarded and _owns_every_slot(scenario, script)):
             return False
     channels = {fault.nodes for fault in faults if fault.kind == "channel"}
+    if channels and not _is_redundant(scenario):
+        return False
     return {*kinds} <= {*HARMLESS} and len(channels) < len(CHANNELS)
+
+
+def _is_redundant(scenario: Scenario) -> bool:
+    """Return whether every frame is on all channels of the bus."""
+    return not isinstance(scenario.bus, FlexRay) or scenario.bus.channels == ALL_CHANNELS
 
 
 def _owns_every_slot(scenario: Scenario, script: tuple[Scripted, ...]) -> bool:
@@ -143,6 +151,8 @@ class _Author:
             if _contends(self._setup, self._settings):
                 # No guardian knows the owner of a slot that nodes contend for.
                 rates.pop("babble", None)
+            if not _is_redundant(self._setup.scenario):
+                rates.pop("channel", None)
         for step in range(1, calm_step):
             for kind, rate in rates.items():
                 if self._generator.random() < rate:

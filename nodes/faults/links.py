@@ -15,7 +15,7 @@ from concord.nodes.faults.senders import sent
 
 class Passage(NamedTuple):
     """One frame and its way: number `number` of the share of `sender` in `cycle`, in slot
-    `frame_id`."""
+    `frame_id` of these channels; empty for all channels of the bus."""
 
     step: int
     cycle: int
@@ -23,6 +23,7 @@ class Passage(NamedTuple):
     receiver: int
     number: int
     frame_id: int
+    channels: str = ""
 
 
 class Arrival(NamedTuple):
@@ -104,11 +105,12 @@ def collides(faults: Faults, way: Passage, schedule: Schedule) -> bool:
 
 def _carried(faults: Faults, way: Passage) -> bool:
     """Whether one of the channels brings it: each loses frames for all who listen to it."""
-    return any(carries(faults, way, place) for place, _ in enumerate(faults.equipment.channels))
+    return any(carries(faults, way, one) for one in way.channels or faults.equipment.channels)
 
 
-def carries(faults: Faults, way: Passage, place: int) -> bool:
-    """Return whether the channel of that place carries a frame; for every receiver."""
+def carries(faults: Faults, way: Passage, channel: str) -> bool:
+    """Return whether the channel carries a frame that is on it; for every receiver."""
+    place = faults.equipment.channels.index(channel)
     fails = faults.at("channel", way.step, place)
     draw = faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
     return fails is None or draw >= fails[0]

@@ -97,7 +97,13 @@ def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm
 )
 def test_what_can_do_no_harm_is_known_from_its_words(lines: tuple[str, ...], harmless: bool):
     fixed = {"changes": lines, "nodes": 4, "graph": "ring", "cluster": "fitted-ab"}
-    fixed |= {"rule": "ci", "scenario": "oscillator", "control": "open", "schedule": "full"}
+    fixed |= {
+        "rule": "ci",
+        "scenario": "oscillator",
+        "control": "open",
+        "schedule": "full",
+        "channels": "all",
+    }
     assert is_harmless(draw_case(1, fixed).scenario) == harmless
 
 
