@@ -28,19 +28,23 @@ class Rejected(Exception):
 
 class Fragment(msgspec.Struct, frozen=True):
     """Fragment of a share in one frame: in which slot, and in which of the cycles that carry
-    rounds. `count` is the bus's own cycle counter in the frame; None on a bus without one."""
+    rounds. `count` is the bus's own cycle counter in the frame; None on a bus without one. The
+    frame has the checksum of `channel`; one on several channels travels with that of the first."""
 
     frame_id: int
     cycle: int
     data: bytes
     count: int | None = None
+    channel: str = "A"
 
 
 class SharePlace(msgspec.Struct, frozen=True):
-    """A frame is number `number` of the `frames` of a share."""
+    """A frame is number `number` of the `frames` of a share. Without `channels`, one letter each,
+    it is on all channels of the bus."""
 
     number: int
     frames: int
+    channels: str = ""
 
 
 class Transmission(NamedTuple):
@@ -233,7 +237,7 @@ class Bus(Protocol):
 
     @property
     def channels(self) -> str:
-        """The names of its channels, one letter each; all frames travel on all of them."""
+        """Return the names of its channels, one letter each; `SharePlace` says which carry it."""
         ...
 
     @property

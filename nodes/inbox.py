@@ -162,7 +162,9 @@ def _hear_faulty(
 ) -> NodeState:
     """A frame as it comes where something is wrong, and what else comes with it."""
     cycle, key = fragment.cycle, (fragment.cycle, sender)
-    way = Passage(state.step, cycle, sender, config.index, place.number, fragment.frame_id)
+    way = Passage(
+        state.step, cycle, sender, config.index, place.number, fragment.frame_id, place.channels
+    )
     came = arrival(config.faults, way, frame, config.bus)
     state = count(state, *came.counted)
     data = None

@@ -12,7 +12,9 @@ from concord.bus.bus import Bus, FrameFormat
 from concord.bus.can_fd.bits import IDENTIFIER_BITS, Rates
 from concord.bus.can_fd.can_fd_bus import can_fd_bus
 from concord.bus.can_fd.frame import FRAMINGS as CAN_FRAMINGS
+from concord.bus.flexray.channels.plan import ChannelPlan, channel_plan
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.files.slot_file import read_slot_file
 from concord.bus.flexray.fitted import fitted_cluster
@@ -39,6 +41,7 @@ from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.buses import (
+    ALL_CHANNELS,
     CanFd,
     FlexRay,
     Ideal,
@@ -191,9 +194,10 @@ def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
     if isinstance(chosen.schedule, WrittenSchedule):
         cluster, slots = _written(chosen, chosen.schedule)
         _check_no_written_relay(asked.schedule)
+        _check_no_written_channels(chosen)
         with _naming(chosen.schedule.slots):
             return written_bus(slots, cluster, asked.schedule, asked.share_bytes, asked.arbiter)
-    cluster = _cluster(chosen.cluster, asked.schedule, asked.share_bytes, asked.classes.count)
+    cluster, plan = _cluster(chosen, asked)
     return flexray_bus(
         asked.schedule,
         cluster,
@@ -201,6 +205,7 @@ def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
         asked.arbiter,
         asked.latch_delay_us,
         asked.classes,
+        plan,
     )
 
 
@@ -321,12 +326,24 @@ def _check_no_written_relay(schedule: Schedule) -> None:
         )
 
 
-def _cluster(name: str, schedule: Schedule, share_bytes: int, classes: int) -> Cluster:
-    if name == FITTED:
-        return _fitted(schedule, share_bytes, classes)
-    if name == REDUNDANT:
-        return msgspec.structs.replace(_fitted(schedule, share_bytes, classes), channels="AB")
-    return _named_cluster(name)
+def _check_no_written_channels(chosen: FlexRay) -> None:
+    if chosen.channels != ALL_CHANNELS:
+        raise ValueError(
+            f"--channels {chosen.channels} --schedule written: the slot table says which channel "
+            "carries a frame; leave --channels out, or use another --schedule"
+        )
+
+
+def _cluster(chosen: FlexRay, asked: BusRequest) -> tuple[Cluster, ChannelPlan]:
+    """Return the cluster, and the channels of the shares on it."""
+    name = chosen.cluster
+    if name not in (FITTED, REDUNDANT):
+        cluster = _named_cluster(name)
+        return cluster, channel_plan(chosen.channels, cluster.channels, name)
+    channels: Channels = "A" if name == FITTED else "AB"
+    plan = channel_plan(chosen.channels, channels, name)
+    fitted = _fitted(asked.schedule, asked.share_bytes, asked.classes.count, plan)
+    return msgspec.structs.replace(fitted, channels=channels), plan
 
 
 def _named_cluster(name: str) -> Cluster:
@@ -341,9 +358,9 @@ def _named_cluster(name: str) -> Cluster:
     return read_cluster_file(path)
 
 
-def _fitted(schedule: Schedule, share_bytes: int, classes: int) -> Cluster:
+def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPlan) -> Cluster:
     try:
-        return fitted_cluster(schedule, payload_lengths(share_bytes), classes)
+        return fitted_cluster(schedule, payload_lengths(share_bytes), classes, plan)
     except ValueError as error:
         senders = max(
             len(schedule.static_senders(cycle)) + schedule.dynamic_slots(cycle)

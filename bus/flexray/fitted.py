@@ -2,6 +2,12 @@
 
 from collections.abc import Sequence
 
+from concord.bus.flexray.channels.plan import (
+    ChannelPlan,
+    contender_groups,
+    on_all,
+    static_places,
+)
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.presets import DEMO
 from concord.bus.schedule import Schedule
@@ -11,7 +17,9 @@ _MIN_STATIC_PAYLOAD_BYTES = 2
 _IDLE_MACROTICKS = 40
 
 
-def fitted_cluster(schedule: Schedule, payloads: Sequence[int], classes: int = 1) -> Cluster:
+def fitted_cluster(
+    schedule: Schedule, payloads: Sequence[int], classes: int = 1, plan: ChannelPlan | None = None
+) -> Cluster:
     """The cluster with macroticks of 1 us and the action points of the demo cluster, in which every
     static turn of `schedule` has its slots and every choice of winners fits the dynamic segment.
 
@@ -19,19 +27,25 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int], classes: int = 1
         schedule: which node publishes when.
         payloads: payload length in bytes of each frame that a share takes, all but the last full.
         classes: urgency classes, in each of which a contender has frame IDs of its own.
+        plan: channels of the shares; None: every share is on all channels.
 
     Raises:
         ClusterError: no FlexRay cycle (16 ms at most) is long enough.
     """
     turns = max(len(row) for row in schedule.static_table)
-    static_slots = max(_MIN_STATIC_SLOTS, turns * len(payloads))
+    plan = plan or on_all(DEMO.channels)
+    places = static_places(schedule, len(payloads), plan)
+    needed = max((one.first_id + len(payloads) - 1 for one in places), default=0)
+    static_slots = max(_MIN_STATIC_SLOTS, needed)
     static_payload_bytes = max(payloads) if turns else _MIN_STATIC_PAYLOAD_BYTES
     slot_macroticks = DEMO.static_frame_macroticks(static_payload_bytes)
 
-    contenders = len({node for row in schedule.contender_table for node in row})
+    asking = sorted({node for row in schedule.contender_table for node in row})
+    contenders = max(len(members) for _, members in contender_groups(asking, plan))
     winners = min(max(schedule.dynamic_slot_table), contenders)
     lengths = [DEMO.dynamic_slot_minislots(size) for size in payloads]
-    # The worst case: the winners have the last IDs, and every slot before them counts by empty.
+    # The worst case: the winners are on one channel and have the last IDs, and every slot before
+    # them counts by empty.
     minislots = (contenders * classes - winners) * len(payloads) + winners * sum(lengths)
     # pLatestTx keeps room for the longest frame of a node with a slow clock, whatever is sent last.
     longest = DEMO.dynamic_slot_most_minislots(max(payloads))

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from concord.bus.arbitration import Arbiter, Fits
 from concord.bus.bus import SegmentTime, Transmission
 from concord.bus.clocks import ClockDrift, ClockErrors
+from concord.bus.flexray.channels.counters import SlotCounters
+from concord.bus.flexray.channels.plan import ChannelPlan
 from concord.bus.flexray.clocks.drifting import clock_errors
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.dynamic_segment import Request
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.publication import Publications
 from concord.bus.flexray.relay import check_relay
@@ -23,12 +25,11 @@ from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
     bus_load,
     check_timing,
-    dynamic_transmissions,
     fusion_delay_us,
     segments,
     static_transmissions,
 )
-from concord.bus.flexray.written_slots import other_stations, requests_of, written_table
+from concord.bus.flexray.written_slots import other_stations, written_table
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 
@@ -59,6 +60,7 @@ class FlexRayBus(SlottedBus):
         self.cycle_us = cluster.cycle_us
         self.table = table
         self.others = tuple(others)
+        self._counters = SlotCounters(table, cluster, self.others)
 
     @property
     def name(self) -> str:
@@ -118,25 +120,18 @@ class FlexRayBus(SlottedBus):
             )
             if size and node not in own
         ]
-        if not self.others:
-            return (*static, *dynamic_transmissions(self.cluster, winners))
         number = self.timebase.bus_cycle(cycle)
         due = [slot for slot in self.others if slot.sends(number)]
-        requests = [*winners, *requests_of(due, self.cluster)]
-        # Frames of other stations that find no room wait; the arbiter has let no node in so far.
-        waiting = walk(self.cluster, requests).waiting
-        sent = [request for request in requests if request not in waiting]
-        frames = dynamic_transmissions(self.cluster, sent)
-        return (*static, *(frame for frame in frames if frame.node < self.schedule.nodes))
+        return (*static, *self._counters.transmissions(winners, due))
 
     def null_frames(
-        self, turn: int, bus_cycle: int, sent: Container[int] = ()
+        self, turn: int, bus_cycle: int, sent: Container[tuple[int, int]] = ()
     ) -> Iterator[tuple[Transmission, bytes]]:
         """Yield the null frames of cycle `bus_cycle` of the bus, in which static slots have their
-        owners of cycle `turn`: one in each slot without a frame whose ID is in `sent`."""
+        owners of cycle `turn`: one in each slot without a frame whose (node, ID) is in `sent`."""
         count = bus_cycle % self.cluster.number_of_cycles
         for frame in self._owned[turn % len(self._owned)]:
-            if frame.frame_id in sent:
+            if (frame.node, frame.frame_id) in sent:
                 continue
             slots = self.slots(frame.node, turn)[0]
             slot = next(slot for slot in slots if slot.frame_id == frame.frame_id)
@@ -176,14 +171,9 @@ class FlexRayBus(SlottedBus):
     def dynamic_room(self) -> int:
         """Return how many of the contenders that may win in a cycle fit whichever of them do, in
         whatever class."""
-        # The last IDs are the worst: every slot before them counts by empty.
-        last = self.table.classes - 1
-        requests = self.table.requests(last)
+        requests = self.table.requests(self.table.classes - 1)
         worst = [requests[node] for node in self._contenders]
-        for count in range(self._most_winners, 0, -1):
-            if self._all_sent(worst[-count:]):
-                return count
-        return 0
+        return self._counters.most_fit(worst, self._most_winners)
 
     @cached_property
     def _all_fit(self) -> bool:
@@ -219,15 +209,12 @@ class FlexRayBus(SlottedBus):
         def fits(run: tuple[int, ...], places: Sequence[int]) -> bool:
             ids, lengths = frame_ids[run], sizes[run]
             requests = [Request(owners[i], int(ids[i]), int(lengths[i])) for i in places]
-            return self._all_sent(requests)
+            return self._counters.all_sent(requests)
 
         return fits
 
-    def _all_sent(self, requests: Sequence[Request]) -> bool:
-        """Whether these requests of nodes are sent while every other station sends."""
-        beside = requests_of(self.others, self.cluster)
-        waiting = walk(self.cluster, [*requests, *beside]).waiting
-        return all(request.node >= self.schedule.nodes for request in waiting)
+    def _ranks(self, nodes: NDArray[np.int64], frame_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        return self._counters.ranks(nodes, frame_ids)
 
 
 def flexray_bus(
@@ -237,8 +224,10 @@ def flexray_bus(
     arbiter: Arbiter,
     latch_delay_us: float = 0.0,
     classes: UrgencyClasses = ONE_CLASS,
+    plan: ChannelPlan | None = None,
 ) -> FlexRayBus:
-    """Return the bus of a schedule whose shares have at most that many bytes.
+    """Return the bus of a schedule whose shares have at most that many bytes, on the channels of a
+    plan; without one on all.
 
     Raises:
         ValueError: the cluster does not hold the schedule.
@@ -248,8 +237,13 @@ def flexray_bus(
     if any(schedule.static_table):
         static = payload_lengths(share_bytes, cluster.static_payload_bytes)
     dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
-    table = allocate(schedule, cluster, static, dynamic, classes.count)
+    table = allocate(schedule, cluster, static, dynamic, classes.count, plan)
     if schedule.relay:
+        if plan and plan.is_apart:
+            raise ValueError(
+                "--relay: a share in a slot of one channel cannot pass on what the other channel "
+                "brings at the same time; use --channels all, A or B, or leave --relay out"
+            )
         check_relay(schedule, cluster, table, latch_delay_us)
     return FlexRayBus(schedule, cluster, table, arbiter, classes)
 

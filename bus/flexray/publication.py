@@ -4,11 +4,13 @@ from collections import defaultdict
 from math import lcm
 from typing import NamedTuple
 
+from concord.bus.flexray.channels.plan import STARTUP_NODES
 from concord.bus.flexray.clock_constraints import MOST_SYNC_NODES
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.frame import Channel
 from concord.bus.flexray.slot_table import SlotAssignment, SlotTable
 
-_LEAST_SYNC_NODES, _STARTUP_NODES = 2, 3
+_LEAST_SYNC_NODES = 2
 
 
 class Slot(NamedTuple):
@@ -16,6 +18,7 @@ class Slot(NamedTuple):
 
     A `fixed` one is padded to that length, as every static frame of a cluster is; another is as
     short as what it carries. A key slot carries a sync frame, which may be a startup frame too.
+    Without a `channel` the frame is on all channels of its bus.
     """
 
     frame_id: int
@@ -23,19 +26,28 @@ class Slot(NamedTuple):
     fixed: bool = True
     sync: bool = False
     startup: bool = False
+    channel: str = ""
+
+    @property
+    def checksum_channel(self) -> Channel:
+        """The channel whose checksum its frames travel with."""
+        return "B" if self.channel == "B" else "A"
 
 
 def key_slots(table: SlotTable, cluster: Cluster) -> tuple[frozenset[int], frozenset[int]]:
     """Return the key slots of sync nodes, and of those that start the cluster.
 
-    A node sends in its key slot in every cycle, so only slots without cycle multiplexing can be
-    key slots: the first of each node. A cluster that states its key slots has these among them;
-    otherwise the first nodes are sync nodes, 15 at most, and three of them start the cluster. One
-    node alone keeps no time with others, and a bus of turns has no key slots at all.
+    A node sends in its key slot in every cycle and on all channels, so only slots on these
+    without cycle multiplexing can be key slots: the first of each node. A cluster that states its
+    key slots has these among them; otherwise the first nodes are sync nodes, 15 at most, and three
+    of them start the cluster. One node alone keeps no time with others, and a bus of turns has no
+    key slots at all.
     """
     owners: dict[int, int] = {}
+    used = {letter for slot in table.assignments for letter in slot.channel}
     for slot in table.assignments:
-        if slot.frame_id < table.first_dynamic_id and slot.repetition == 1:
+        is_static = slot.frame_id < table.first_dynamic_id
+        if is_static and slot.repetition == 1 and set(slot.channel) == used:
             owners.setdefault(slot.node, slot.frame_id)
     owned = sorted(owners.values())
     if cluster.sync_slots:
@@ -44,7 +56,7 @@ def key_slots(table: SlotTable, cluster: Cluster) -> tuple[frozenset[int], froze
     if len(owned) < _LEAST_SYNC_NODES:
         return frozenset(), frozenset()
     sync = owned[: cluster.sync_nodes_most or MOST_SYNC_NODES]
-    return frozenset(sync), frozenset(sync[:_STARTUP_NODES])
+    return frozenset(sync), frozenset(sync[:STARTUP_NODES])
 
 
 class Publications:
@@ -66,7 +78,10 @@ class Publications:
         self._turns = {node: owned[0] for node, owned in dynamic.items()}
         for node, owned in dynamic.items():
             ids = sorted(slot.frame_id for slot in owned)
-            slots = [Slot(*one, fixed=False) for one in zip(ids, lengths, strict=True)]
+            slots = [
+                Slot(frame_id, length, fixed=False, channel=owned[0].channel)
+                for frame_id, length in zip(ids, lengths, strict=True)
+            ]
             size = len(table.dynamic_payloads)
             self._dynamic[node] = tuple(
                 tuple(slots[first : first + size]) for first in range(0, len(slots), size)
@@ -91,6 +106,7 @@ class Publications:
                 self._static_payload_bytes,
                 sync=slot.frame_id in self._sync,
                 startup=slot.frame_id in self._startup,
+                channel=slot.channel,
             )
             for slot in self._static.get(node, ())
             if slot.sends(cycle)

@@ -9,6 +9,7 @@ frame's fragment of the body (`bus/fragments.py`). Two checksums guard the whole
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import cast
 
 import msgspec
 from msgspec.structs import replace
@@ -19,6 +20,7 @@ from concord.bus.flexray.frame import (
     MAX_FRAME_ID,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
+    Channel,
     Frame,
     FrameError,
     is_intact,
@@ -67,7 +69,8 @@ def to_frames(
                 (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
                 sync=slot.sync,
                 startup=slot.startup,
-            )
+            ),
+            slot.checksum_channel,
         )
         for slot, fragment in zip(slots, fragments, strict=False)
     ]
@@ -112,7 +115,7 @@ def whole_body(
     if shape is None or len(frame) != shape.frame_bytes:
         return None
     start = shape.header + _CYCLE.pack(cycle) + shape.numbering
-    if not (frame.startswith(start) and is_intact(frame)):
+    if not (frame.startswith(start) and is_intact(frame, slot.checksum_channel)):
         return None
     return frame[len(start) : len(start) + share_bytes]
 
@@ -124,7 +127,7 @@ def read_frame(data: bytes) -> Fragment:
         Rejected: with the reason of the check that failed.
     """
     try:
-        frame = decode_frame(data)
+        frame, channel = _opened(data)
     except FrameError as error:
         raise Rejected(error.reason) from None
     if frame.null:
@@ -132,7 +135,18 @@ def read_frame(data: bytes) -> Fragment:
     if len(frame.payload) < PREFIX_BYTES:
         raise Rejected("too-short")
     cycle = _CYCLE.unpack_from(frame.payload)[0]
-    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:], frame.cycle_count)
+    data = frame.payload[PREFIX_BYTES:]
+    return Fragment(frame.frame_id, cycle, data, frame.cycle_count, channel)
+
+
+def _opened(data: bytes) -> tuple[Frame, Channel]:
+    """Return a frame, and the channel whose checksum it has.
+
+    Raises:
+        FrameError: it is no frame on either channel.
+    """
+    channel: Channel = "B" if not is_intact(data) and is_intact(data, "B") else "A"
+    return decode_frame(data, channel), channel
 
 
 def renumbered(frame: bytes, cycle: int, cycle_count: int) -> bytes:
@@ -142,19 +156,19 @@ def renumbered(frame: bytes, cycle: int, cycle_count: int) -> bytes:
     Raises:
         FrameError: it is no frame.
     """
-    told = decode_frame(frame)
+    told, channel = _opened(frame)
     payload = _CYCLE.pack(cycle) + told.payload[PREFIX_BYTES:]
-    return encode_frame(replace(told, cycle_count=cycle_count, payload=payload))
+    return encode_frame(replace(told, cycle_count=cycle_count, payload=payload), channel)
 
 
-def in_slot(frame: bytes, frame_id: int) -> bytes:
-    """The frame with the ID of another slot, its checksums right.
+def in_slot(frame: bytes, frame_id: int, channel: Channel = "A") -> bytes:
+    """The frame with the ID of another slot and on its channel, the checksums right.
 
     Raises:
         FrameError: it is no frame.
     """
-    told = decode_frame(frame)
-    return encode_frame(Frame(frame_id, told.cycle_count, told.payload))
+    told, _ = _opened(frame)
+    return encode_frame(Frame(frame_id, told.cycle_count, told.payload), channel)
 
 
 def emptied(frame: bytes) -> bytes:
@@ -163,9 +177,9 @@ def emptied(frame: bytes) -> bytes:
     Raises:
         FrameError: it is no frame.
     """
-    told = decode_frame(frame)
+    told, channel = _opened(frame)
     payload = bytes(len(told.payload))
-    return encode_frame(replace(told, payload=payload, null=True))
+    return encode_frame(replace(told, payload=payload, null=True), channel)
 
 
 def null_frame(slot: Slot, cycle_count: int) -> bytes:
@@ -177,12 +191,13 @@ def null_frame(slot: Slot, cycle_count: int) -> bytes:
 
 
 def on_channel(frame: bytes, channel: str) -> bytes:
-    """The frame as it is on a channel: shares travel with the checksum of channel A.
+    """The frame as it is on a channel: one on both travels with the checksum of channel A.
 
     Raises:
         FrameError: it is no frame.
     """
-    return frame if channel == "A" else encode_frame(decode_frame(frame), "B")
+    told, travels = _opened(frame)
+    return frame if channel == travels else encode_frame(told, cast(Channel, channel))
 
 
 def miscounted(frame: bytes, cycles: int) -> bytes:
@@ -191,9 +206,9 @@ def miscounted(frame: bytes, cycles: int) -> bytes:
     Raises:
         FrameError: it is no frame.
     """
-    told = decode_frame(frame)
+    told, channel = _opened(frame)
     count = (told.cycle_count + cycles) % CYCLE_COUNTS
-    return encode_frame(replace(told, cycle_count=count))
+    return encode_frame(replace(told, cycle_count=count), channel)
 
 
 def cycle_of(frame: bytes) -> int:

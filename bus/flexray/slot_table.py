@@ -7,6 +7,13 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
+from concord.bus.flexray.channels.plan import (
+    ChannelPlan,
+    StaticPlace,
+    contender_groups,
+    on_all,
+    static_places,
+)
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels, Segment
 from concord.bus.flexray.dynamic_segment import Request, walk
@@ -83,9 +90,11 @@ def allocate(
     static_payloads: Sequence[int],
     dynamic_payloads: Sequence[int],
     classes: int = 1,
+    plan: ChannelPlan | None = None,
 ) -> SlotTable:
     """Give every publisher the slots that one share needs: static ones from 1 on, dynamic ones from
-    the cluster's first on, class by class of urgency and in order of nodes within each.
+    the cluster's first on, class by class of urgency and in order of nodes within each. Without a
+    `plan` every frame is on all channels.
 
     `static_payloads` and `dynamic_payloads` are the payload lengths of the frames in which a share
     travels in either segment (`payload_sizes`); dynamic frames but the last are full.
@@ -97,7 +106,9 @@ def allocate(
         _check_payloads("static", static_payloads, cluster.static_payload_bytes, cluster)
     if contenders:
         _check_payloads("dynamic", dynamic_payloads, cluster.dynamic_payload_bytes, cluster)
-    needed = max(map(len, schedule.static_table)) * len(static_payloads)
+    plan = plan or on_all(cluster.channels)
+    places = static_places(schedule, len(static_payloads), plan, cluster.sync_slots)
+    needed = max((one.first_id + len(static_payloads) - 1 for one in places), default=0)
     if needed > cluster.static_slots:
         raise ValueError(
             f"the schedule needs {needed} static slots in a cycle, {len(static_payloads)} for each "
@@ -105,18 +116,20 @@ def allocate(
             f"{cluster.name!r} has {cluster.static_slots}; lower the occupancy, use float32, or "
             "another cluster"
         )
-    first, owned = cluster.first_dynamic_id, len(contenders) * len(dynamic_payloads)
+    groups = contender_groups(contenders, plan)
+    longest = max(len(members) for _, members in groups)
+    first, owned = cluster.first_dynamic_id, longest * len(dynamic_payloads)
     if classes > 1 and first + classes * owned - 1 > MAX_FRAME_ID:
         raise ValueError(
             f"{classes} urgency classes of {owned} frame IDs each after {first - 1} static ones, "
             f"but frame IDs end at {MAX_FRAME_ID}; use --urgency-classes "
             f"{max(1, (MAX_FRAME_ID - first + 1) // owned)}, or fewer contenders"
         )
-    slots = tuple(_static_assignments(schedule, cluster.channels, len(static_payloads)))
-    in_class = [node for node in contenders for _ in dynamic_payloads]
+    slots = tuple(_static_assignments(schedule, places, len(static_payloads)))
     dynamic = tuple(
-        SlotAssignment(first + rank, node, cluster.channels)
-        for rank, node in enumerate(in_class * classes)
+        SlotAssignment(first + rank, node, channel)
+        for channel, members in groups
+        for rank, node in enumerate([one for one in members for _ in dynamic_payloads] * classes)
     )
     payloads = tuple(static_payloads), tuple(dynamic_payloads)
     table = SlotTable(slots + dynamic, first, *payloads, classes)
@@ -154,7 +167,7 @@ def _check_payloads(
 
 
 def _static_assignments(
-    schedule: Schedule, channel: Channels, frames: int
+    schedule: Schedule, places: Sequence[StaticPlace], frames: int
 ) -> Iterable[SlotAssignment]:
     """Slots of each turn; a node that comes back at equal intervals gets one multiplexed entry."""
     period = len(schedule.static_table)
@@ -168,8 +181,8 @@ def _static_assignments(
         repetition = spacing if even else period
         for base in cycles[:1] if even else cycles:
             for frame in range(frames):
-                frame_id = place * frames + frame + 1
-                yield SlotAssignment(frame_id, node, channel, base, repetition)
+                first_id, channel = places[place]
+                yield SlotAssignment(first_id + frame, node, channel, base, repetition)
 
 
 def check_reachable(request: Request, cluster: Cluster) -> None:

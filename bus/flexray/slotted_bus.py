@@ -95,8 +95,9 @@ class SlottedBus:
         # A share takes the first slots of a class of its sender, as many as it needs.
         for of_class in self.slots(sender, cycle):
             for number, slot in enumerate(of_class[:frames]):
-                if slot.frame_id == fragment.frame_id:
-                    return SharePlace(number, frames)
+                owned = slot.frame_id, slot.checksum_channel
+                if owned == (fragment.frame_id, fragment.channel):
+                    return SharePlace(number, frames, slot.channel)
         raise Rejected("wrong-slot")
 
     def urgency_class(self, node: int, cycle: int, frame_id: int) -> int:
@@ -109,7 +110,10 @@ class SlottedBus:
     def in_slot_of(self, frame: bytes, node: int, cycle: int) -> bytes | None:
         """Return a sound frame moved to the first slot of a node; None where it has no slot."""
         slots = self.slots(node, cycle)
-        return in_slot(frame, slots[0][0].frame_id) if slots else None
+        if not slots:
+            return None
+        slot = slots[0][0]
+        return in_slot(frame, slot.frame_id, slot.checksum_channel)
 
     def renumbered(self, frame: bytes, cycle: int) -> bytes:
         """Return a sound frame with the number of another cycle."""
@@ -150,8 +154,13 @@ class SlottedBus:
             state = state._replace(last_frame_id=last)
         frame_ids = owned[np.arange(len(slots)), classes]
         fits = self._fits(places, frame_ids, payload_bytes)
-        state, wins = award(self._arbiter, state, places, frame_ids, bids, most, fits, passed)
+        ranks = self._ranks(places, frame_ids)
+        state, wins = award(self._arbiter, state, places, ranks, bids, most, fits, passed)
         return Awards(state, wins, classes)
+
+    def _ranks(self, nodes: NDArray[np.int64], frame_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return numbers (..., C) in the order of the frame IDs, each of one contender."""
+        return frame_ids
 
     def _fits(
         self,

@@ -34,8 +34,11 @@ def static_transmissions(
     )
 
 
-def dynamic_transmissions(cluster: Cluster, winners: Iterable[Request]) -> tuple[Transmission, ...]:
-    """Dynamic frames of an arbiter's winners: each begins at the action point of its minislot.
+def dynamic_transmissions(
+    cluster: Cluster, winners: Iterable[Request], channel: str = ""
+) -> tuple[Transmission, ...]:
+    """Dynamic frames of an arbiter's winners on a channel, without one on all of the cluster: each
+    begins at the action point of its minislot.
 
     Raises ValueError if they do not all fit into the segment.
     """
@@ -54,7 +57,7 @@ def dynamic_transmissions(cluster: Cluster, winners: Iterable[Request]) -> tuple
         Transmission(
             node=frame.node,
             frame_id=frame.frame_id,
-            channel=cluster.channels,
+            channel=channel or cluster.channels,
             segment="dynamic",
             payload_bytes=frame.payload_bytes,
             start_us=start_us,

@@ -63,17 +63,12 @@ def written_table(
     A share takes the first slots of its sender in a cycle; others stay empty.
 
     Raises:
-        ValueError: a node owns too few slots for a share, too short ones, or on another channel.
+        ValueError: a node owns too few slots for a share, too short ones, or one frame ID on each
+            channel; or some dynamic slots are on both channels and others on one.
     """
     own = [slot for slot in slots if slot.node < nodes]
-    for slot in own:
-        if slot.channel != cluster.channels:
-            raise ValueError(
-                f"frame ID {slot.frame_id} of node {slot.node}: channel is {slot.channel}, but "
-                f"shares travel on all channels of cluster {cluster.name!r}; set "
-                f'channel = "{cluster.channels}"'
-            )
     first = cluster.first_dynamic_id
+    _check_channels(own, cluster)
     static = [slot for slot in own if slot.frame_id < first]
     _check_static(static, cluster, len(static_payloads))
     dynamic = _contended([slot for slot in own if slot.frame_id >= first], dynamic_payloads)
@@ -97,9 +92,12 @@ def other_stations(
         ValueError: such a station shares a dynamic frame ID with a node.
     """
     others = tuple(slot for slot in slots if slot.node >= nodes)
-    mine = {slot.frame_id for slot in slots if slot.node < nodes}
+    mine = {
+        (slot.frame_id, letter) for slot in slots if slot.node < nodes for letter in slot.channel
+    }
     for slot in others:
-        if slot.frame_id >= cluster.first_dynamic_id and slot.frame_id in mine:
+        meets = any((slot.frame_id, letter) in mine for letter in slot.channel)
+        if slot.frame_id >= cluster.first_dynamic_id and meets:
             raise ValueError(
                 f"frame ID {slot.frame_id}: station {slot.node} takes turns with a node of the "
                 f"network (0 to {nodes - 1}) in a dynamic slot; give the node an ID of its own"
@@ -152,6 +150,34 @@ def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]
     )
 
 
+def _check_channels(slots: Sequence[MessageSlot], cluster: Cluster) -> None:
+    """Check that each frame ID of a node, and each slot counter, has one kind of channel."""
+    channels: dict[tuple[int, int], str] = {}
+    for slot in slots:
+        if not set(slot.channel) <= set(cluster.channels):
+            raise ValueError(
+                f"frame ID {slot.frame_id} of node {slot.node}: channel is {slot.channel}, but "
+                f"cluster {cluster.name!r} has {cluster.channels} alone; set "
+                f'channel = "{cluster.channels}"'
+            )
+        known = channels.setdefault((slot.node, slot.frame_id), slot.channel)
+        if known != slot.channel:
+            raise ValueError(
+                f"frame ID {slot.frame_id} of node {slot.node}: it is on channel {known} and on "
+                f"channel {slot.channel} in entries of their own; write one entry with "
+                'channel = "AB", or give it two frame IDs'
+            )
+    dynamic = [slot for slot in slots if slot.frame_id >= cluster.first_dynamic_id]
+    both = next((slot for slot in dynamic if slot.channel == "AB"), None)
+    alone = next((slot for slot in dynamic if slot.channel != "AB"), None)
+    if both and alone:
+        raise ValueError(
+            f"dynamic frame ID {both.frame_id} of node {both.node} is on both channels and "
+            f"{alone.frame_id} of node {alone.node} on {alone.channel} alone, so the channels "
+            "would count to the first at different times; write both on AB, or each on one channel"
+        )
+
+
 def _check_static(slots: Sequence[MessageSlot], cluster: Cluster, frames: int) -> None:
     """Check that a node owns enough static slots in each cycle in which it owns one."""
     period = lcm(*(slot.repetition for slot in slots))
@@ -178,11 +204,12 @@ def _contended(slots: Sequence[MessageSlot], payloads: Sequence[int]) -> list[Me
         chosen = of_node[: len(payloads)]
         first = chosen[0]
         ids = list(range(first.frame_id, first.frame_id + len(payloads)))
-        turns = {(slot.base_cycle, slot.repetition) for slot in chosen}
+        turns = {(slot.base_cycle, slot.repetition, slot.channel) for slot in chosen}
         if [slot.frame_id for slot in chosen] != ids or len(turns) > 1:
             raise ValueError(
                 f"node {node}: a share takes {len(payloads)} dynamic frames in consecutive IDs "
-                f"from {first.frame_id} on and in the same cycles; give it these IDs"
+                f"from {first.frame_id} on, in the same cycles and on one channel; give it these "
+                "IDs"
             )
         for slot, size in zip(chosen, payloads, strict=True):
             if slot.payload_bytes < size:

@@ -135,10 +135,12 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
                     continue
                 step = fragment.cycle // setup.scenario.rounds
                 try:
-                    number, count = msgspec.structs.astuple(bus.place(node, fragment))
+                    number, count, _ = msgspec.structs.astuple(bus.place(node, fragment))
                 except Rejected:
                     number, count = 0, 0
-                way = Passage(step, fragment.cycle, node, _NOBODY, number, fragment.frame_id)
+                way = Passage(
+                    step, fragment.cycle, node, _NOBODY, number, fragment.frame_id, place.channel
+                )
                 time_us = bus.timebase.begins_us(fragment.cycle) + place.start_us
                 frames.append(FrameOnBus(data, way, count, place, time_us))
             case Event() as event:
@@ -156,9 +158,9 @@ def on_the_wire(traffic: Traffic, frame: FrameOnBus) -> Iterator[Captured]:
             yield Captured(frame.time_us, formats.on_channel(frame.data, channel), channel)
         return
     whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame.data, traffic.bus)
-    collision = collides(faults, way)
+    collision = collides(faults, way, traffic.bus.schedule)
     for channel in frame.place.channel:
-        if carries(faults, way, faults.equipment.channels.index(channel)):
+        if carries(faults, way, channel):
             body = on_channel(formats, whole, channel)
             yield Captured(frame.time_us, body, channel, collision)
 
@@ -190,12 +192,12 @@ def _unused_slots(traffic: Traffic) -> Iterator[Captured]:
     bus = traffic.bus
     if not isinstance(bus, FlexRayBus):
         return
-    used: dict[int, set[int]] = {}
+    used: dict[int, set[tuple[int, int]]] = {}
     whole: dict[int, set[int]] = {}
     came: Counter[tuple[int, int]] = Counter()
     for frame in traffic.frames:
         cycle, node = frame.way.cycle, frame.way.sender
-        used.setdefault(cycle, set()).add(frame.place.frame_id)
+        used.setdefault(cycle, set()).add((node, frame.place.frame_id))
         came[cycle, node] += 1
         # A node that has sent nothing leaves gaps, and of a torn share the rest is not known.
         if came[cycle, node] == frame.frames:
@@ -224,7 +226,11 @@ def _between_steps(traffic: Traffic, steps: int, rounds: int) -> Iterator[Captur
 
 
 def _null_frames(
-    bus: FlexRayBus, turn: int, number: int, nodes: Collection[int], sent: Collection[int] = ()
+    bus: FlexRayBus,
+    turn: int,
+    number: int,
+    nodes: Collection[int],
+    sent: Collection[tuple[int, int]] = (),
 ) -> Iterator[Captured]:
     """Yield the null frames of these nodes in cycle `number` of the bus."""
     for place, data in bus.null_frames(turn, number, sent):

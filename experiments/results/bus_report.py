@@ -26,6 +26,7 @@ class BusFigures(msgspec.Struct, frozen=True):
     Attributes:
         cycles, cycles_all: how many.
         load_mean, load_max: share of a cycle in which the busier channel carries frames.
+        channel_loads: mean share of a cycle in which each channel carries frames.
         wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
             padding, and how long they keep the bus busy.
         delay_us_mean, delay_us_max: from a measurement to the last share of its step; `wait_us_max`
@@ -54,6 +55,7 @@ class BusFigures(msgspec.Struct, frozen=True):
     frames_per_cycle_all: float
     load_mean: float
     load_max: float
+    channel_loads: dict[str, float]
     load_all: float
     wire_bytes_per_step: float
     wire_us_per_step: float
@@ -159,6 +161,7 @@ def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarra
         frames_per_cycle_all=sum(frames) / cycles_all,
         load_mean=float(np.mean(load)),
         load_max=max(load),
+        channel_loads=_channel_loads(bus, sent_frames, len(cycles)),
         load_all=sum(load) / cycles_all,
         wire_bytes_per_step=wire_bytes_per_step,
         wire_us_per_step=wire_us_per_step,
@@ -208,6 +211,14 @@ def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tupl
     return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
 
 
+def _channel_loads(bus: Bus, frames: Sequence[Transmission], cycles: int) -> dict[str, float]:
+    busy_us = dict.fromkeys(bus.channels, 0.0)
+    for frame in frames:
+        for channel in frame.channel:
+            busy_us[channel] += frame.end_us - frame.start_us
+    return {channel: busy / cycles / bus.cycle_us for channel, busy in busy_us.items()}
+
+
 def bus_times(bus: Bus, sent: SentShares) -> BusTimes:
     """When what is on a bus with time, on which these shares (steps, rounds, N) were sent."""
     cycles = timetable(bus, sent)
@@ -251,11 +262,17 @@ def longest_waits(
 
 
 def empty_minislots(cycle: Sequence[Transmission]) -> int:
-    """Return the minislots of a cycle in which no node sent, up to the last frame."""
-    frames = sorted((one.minislot, one.frame_id) for one in cycle if one.minislot)
-    if not frames:
-        return 0
-    (first_minislot, first_id), (_, last_id) = frames[0], frames[-1]
+    """Return the minislots of a cycle in which no node sent, up to the last frame; of channels that
+    count apart, the most of one."""
+    of_channel: dict[str, list[tuple[int, int]]] = {}
+    for one in cycle:
+        if one.minislot:
+            of_channel.setdefault(one.channel, []).append((one.minislot, one.frame_id))
+    return max(map(_empty, of_channel.values()), default=0)
+
+
+def _empty(frames: Sequence[tuple[int, int]]) -> int:
+    (first_minislot, first_id), (_, last_id) = min(frames), max(frames)
     return first_minislot - 1 + last_id - first_id - (len(frames) - 1)
 
 
@@ -265,7 +282,8 @@ def lines(figures: BusFigures) -> list[str]:
     text = [
         f"bus {figures.cluster}: {figures.frames_per_cycle_mean:.1f} frames in a cycle of "
         f"{figures.cycle_us / 1e3:.4g} ms (most {figures.frames_per_cycle_max}), load "
-        f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %), measurement to "
+        f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %"
+        f"{_of_channels(figures.channel_loads)}), measurement to "
         f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
         f"rounds use {figures.cycles} of the {figures.cycles_all} cycles that pass on the bus: "
         f"over all of them {figures.frames_per_cycle_all:.3g} frames in a cycle, load "
@@ -299,6 +317,12 @@ def lines(figures: BusFigures) -> list[str]:
             f"{empty if figures.has_minislots else ''}"
         )
     return text
+
+
+def _of_channels(loads: dict[str, float]) -> str:
+    if len(loads) == 1:
+        return ""
+    return "; " + ", ".join(f"{name} {100 * load:.1f} %" for name, load in loads.items())
 
 
 def starvation(figures: BusFigures) -> str:

@@ -53,7 +53,7 @@ def _arrived(
     # A collision has destroyed the frame, so no bits of it arrived.
     read = came.frame if came.in_slot else whole
     for channel in frame.place.channel:
-        if carries(faults, way, faults.equipment.channels.index(channel)):
+        if carries(faults, way, channel):
             right = on_channel(traffic.bus.frame_format, whole, channel)
             flipped = zip(right, whole, read, strict=True)
             data = bytes(byte ^ before ^ after for byte, before, after in flipped)

@@ -105,4 +105,4 @@ def _without_faults(case: SimulationCase) -> SimulationCase:
 
 def _is_harmless(case: SimulationCase) -> bool:
     """Return whether no fault may change an estimate."""
-    return not {*read_wire(case.wire)} & {*LOSING} and is_harmless(script_of(case.scenario))
+    return not {*read_wire(case.wire)} & {*LOSING} and is_harmless(case.scenario)

@@ -162,6 +162,10 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         asked["nodes"] += 2
     elif rule not in ("ci", "wac", *_CERTAIN):
         asked["hold"] = "decayed"
+    if asked["cluster"] == "fitted-ab" and not asked.get("relay"):
+        # A stream of its own leaves all other draws as they are without two channels.
+        apart = generator.spawn(1)[0]
+        asked["channels"] = str(apart.choice(["all", "all", "A", "split", "mixed"]))
     if name in (*_LINEAR, "liu2021-network"):
         asked["control"] = one("truth", "0", "1")
     return scenario_with_known(name, **asked)[0]

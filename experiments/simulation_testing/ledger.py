@@ -35,6 +35,7 @@ class OracleLedger:
         self.struck: Counter[str] = Counter()
         self._node_ledgers = [NodeLedger(0, 0) for _ in range(nodes)]
         self._events = 0
+        self._owners: dict[tuple[int, int, str], int] = {}
         self._loses_frames = loses_frames
 
     # --- what arrives ----------------------------------------------------------------------------
@@ -85,6 +86,7 @@ class OracleLedger:
         unchecked, self.record.unchecked = self.record.unchecked, []
         for one in unchecked:
             self._node_ledgers[one.sender].counts["sent"] += 1
+            _check_slot(config, self._owners, one)
             groups = range(len(config.schedule.groups(one.cycle)))
             winners = [
                 w for group in groups for w in self.record.grants.get((one.cycle, group), ())
@@ -142,11 +144,15 @@ class OracleLedger:
         ledger.arrive(sender, sent, arrives)
 
     def _fate(self, config: NodeConfig, step: int, sender: int, sent: Sent) -> Fate:
-        way = Passage(step, sent.cycle, sender, config.index, sent.number, sent.frame_id)
+        place = config.bus.place(sender, config.bus.receive(sent.frame))
+        way = Passage(
+            step, sent.cycle, sender, config.index, sent.number, sent.frame_id, place.channels
+        )
         return fate_of(
             self.record.faults(config, step),
             way,
             sent.frame,
+            sender in config.schedule.contenders(sent.cycle),
             lambda node: config.bus.in_slot_of(sent.frame, node, sent.cycle) is not None,
         )
 
@@ -217,6 +223,18 @@ class OracleLedger:
         """A node's estimator has refused so many shares that it had heard."""
         self.struck["indefinite"] += shares
         self._node_ledgers[node].refused_shares += shares
+
+
+def _check_slot(config: NodeConfig, owners: dict[tuple[int, int, str], int], sent: Sent) -> None:
+    """Check that no other node has sent in the slot of a frame, on one of its channels."""
+    place = config.bus.place(sent.sender, config.bus.receive(sent.frame))
+    for channel in place.channels or config.bus.channels:
+        owner = owners.setdefault((sent.cycle, sent.frame_id, channel), sent.sender)
+        if owner != sent.sender:
+            raise Broken(
+                "one sender per slot and channel",
+                f"nodes {owner} and {sent.sender} send frame {sent.frame_id} in cycle {sent.cycle}",
+            )
 
 
 def _book_forgery(config: NodeConfig, ledger: NodeLedger, sender: int, frame: bytes) -> None:

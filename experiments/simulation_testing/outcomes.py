@@ -30,10 +30,16 @@ class Fate(NamedTuple):
     struck: tuple[str, ...]
 
 
-def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int], bool]) -> Fate:
-    """The fate of a frame that its sender meant to send; `has_slot(node)` says who has a slot in
-    its cycle."""
-    for word, counted in _obstacles(faults, way):
+def fate_of(
+    faults: Faults,
+    way: Passage,
+    frame: bytes,
+    is_contended: bool,
+    has_slot: Callable[[int], bool],
+) -> Fate:
+    """The fate of a frame that its sender meant to send, in a slot that it won if `is_contended`;
+    `has_slot(node)` says who has a slot in its cycle."""
+    for word, counted in _obstacles(faults, way, is_contended):
         return Fate((counted,), (), False, False, (word,))
     reading, struck = _reading(faults, way, frame)
     later, late_words = _late(faults, way)
@@ -85,7 +91,7 @@ def _stands_still(faults: Faults, step: int, node: int) -> bool:
     return _at(faults, "hang", step, node) is not None
 
 
-def _obstacles(faults: Faults, way: Passage) -> list[tuple[str, str]]:
+def _obstacles(faults: Faults, way: Passage, is_contended: bool) -> list[tuple[str, str]]:
     """Return the faults that keep a frame from being read, with their counters.
 
     The first entry decides.
@@ -98,23 +104,23 @@ def _obstacles(faults: Faults, way: Passage) -> list[tuple[str, str]]:
     apart_us = abs(_ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver))
     if apart_us > faults.equipment.precision_us:
         found.append(("drift", "rejected"))
-    if not _at(faults, "guardian", way.step) and any(
+    is_guarded = _at(faults, "guardian", way.step) and not is_contended
+    if not is_guarded and any(
         _makes_noise(faults, way, nodes[0]) for kind, nodes in faults.standing if kind == "babble"
     ):
         found.append(("babble", "rejected"))
-    fails = [_at(faults, "channel", way.step, place) for place in range(len(_channels(faults)))]
+    # A frame on one channel alone has no other way.
+    letters = [*faults.equipment.channels]
+    used = [letters.index(letter) for letter in way.channels] or range(len(letters))
+    fails = {place: _at(faults, "channel", way.step, place) for place in used}
     if all(
         chance is not None
         and faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
         < chance[0]
-        for place, chance in enumerate(fails)
+        for place, chance in fails.items()
     ):
         found.append(("channel", "lost"))
     return found
-
-
-def _channels(faults: Faults) -> str:
-    return faults.equipment.channels
 
 
 def _ahead_us(faults: Faults, way: Passage, node: int) -> float:

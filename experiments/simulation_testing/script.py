@@ -25,16 +25,19 @@ from concord.nodes.faults.active import Equipment
 from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
 from concord.nodes.run_controller import Scripted
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.bus_plan import arbiter_names, build_schedule
 from concord.scenarios.equipment import equipment_of
-from concord.scenarios.preparation import complete_settings, with_settings
+from concord.scenarios.preparation import complete_settings, prepare, with_settings
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import ALL_CHANNELS, FlexRay
 
 # These words, beside the fault words, begin no fault.
 OTHER_WORDS = ("restart", "heal", "set")
 WORDS = (*EVERY_FAULT, *OTHER_WORDS)
-# These words change no share that a receiver uses. A guardian blocks a babbling node, and one of
-# two channels delivers every frame.
+# These words change no share that a receiver uses. A guardian blocks a babbling node where every
+# slot has an owner, and one of two channels delivers every frame that is on both.
 HARMLESS = ("duplicate", "reorder", "replay", "spoof", "guardian", "babble", "channel")
 
 _SETTINGS: dict[str, tuple[Any, ...]] = {
@@ -75,9 +78,10 @@ def calm_from(script: tuple[Scripted, ...], steps: int) -> int:
     return steps if out else calm_step
 
 
-def is_harmless(script: tuple[Scripted, ...]) -> bool:
-    """Return whether no change of a script may change an estimate, but what was set."""
-    faults = []
+def is_harmless(scenario: Scenario) -> bool:
+    """Return whether no change of a scenario may change an estimate, but what was set."""
+    script = script_of(scenario)
+    faults: list[Inject] = []
     for _, command in script:
         if isinstance(command, Inject):
             faults.append(command)
@@ -85,10 +89,36 @@ def is_harmless(script: tuple[Scripted, ...]) -> bool:
             return False
     kinds = [fault.kind for fault in faults]
     watched = all(fault.numbers[0] for fault in faults if fault.kind == "guardian")
-    if "babble" in kinds and not (watched and "guardian" in kinds[: kinds.index("babble")]):
-        return False
+    if "babble" in kinds:
+        is_guarded = watched and "guardian" in kinds[: kinds.index("babble")]
+        if not (is_guarded and _owns_every_slot(scenario, script)):
+            return False
     channels = {fault.nodes for fault in faults if fault.kind == "channel"}
+    if channels and not _is_redundant(scenario):
+        return False
     return {*kinds} <= {*HARMLESS} and len(channels) < len(CHANNELS)
+
+
+def _is_redundant(scenario: Scenario) -> bool:
+    """Return whether every frame is on all channels of the bus."""
+    return not isinstance(scenario.bus, FlexRay) or scenario.bus.channels == ALL_CHANNELS
+
+
+def _owns_every_slot(scenario: Scenario, script: tuple[Scripted, ...]) -> bool:
+    """Return whether no node ever contends for a slot: a guardian then knows each sender."""
+    setup = prepare(scenario)
+    settings: Settings = {}
+    found = [_contends(setup, settings)]
+    for _, command in script:
+        if isinstance(command, Configure):
+            settings = complete_settings(setup, settings, command.settings)
+            found.append(_contends(setup, settings))
+    return not any(found)
+
+
+def _contends(setup: Setup, settings: Settings) -> bool:
+    changed = with_settings(setup, settings)
+    return any(build_schedule(changed.scenario, changed.neighbours).dynamic_slot_table)
 
 
 class _Author:
@@ -118,6 +148,11 @@ class _Author:
         if harmless:
             rates.pop("guardian", None)
             self._say(1, "guardian 1")
+            if _contends(self._setup, self._settings):
+                # No guardian knows the owner of a slot that nodes contend for.
+                rates.pop("babble", None)
+            if not _is_redundant(self._setup.scenario):
+                rates.pop("channel", None)
         for step in range(1, calm_step):
             for kind, rate in rates.items():
                 if self._generator.random() < rate:

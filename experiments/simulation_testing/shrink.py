@@ -27,6 +27,7 @@ _PLAIN: tuple[dict[str, Any], ...] = (
     {"loss": 0.0},
     {"schedule": "full"},
     {"relay": False},
+    {"channels": "all"},
     {"cluster": "fitted"},
     {"arbiter": "wtod"},
     {"trigger": 0.0},

@@ -8,13 +8,14 @@ agree. Altered bytes go through the receiver's own checks, which must detect the
 from typing import NamedTuple
 
 from concord.bus.bus import Bus
+from concord.bus.schedule import Schedule
 from concord.nodes.faults.active import EVERYBODY, Faults, hangs
 from concord.nodes.faults.senders import sent
 
 
 class Passage(NamedTuple):
     """One frame and its way: number `number` of the share of `sender` in `cycle`, in slot
-    `frame_id`."""
+    `frame_id` of these channels; empty for all channels of the bus."""
 
     step: int
     cycle: int
@@ -22,6 +23,7 @@ class Passage(NamedTuple):
     receiver: int
     number: int
     frame_id: int
+    channels: str = ""
 
 
 class Arrival(NamedTuple):
@@ -51,7 +53,7 @@ def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
     apart_us = _ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver)
     if abs(apart_us) > faults.equipment.precision_us:
         return _nothing("rejected slot-boundary")
-    if collides(faults, way):
+    if collides(faults, way, bus.schedule):
         return _nothing("rejected collision")
     if not _carried(faults, way):
         return _nothing("lost")
@@ -82,9 +84,14 @@ def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
     return drift[0] * 1e-6 * cycles * faults.equipment.cycle_us
 
 
-def collides(faults: Faults, way: Passage) -> bool:
-    """Return whether a node babbles in this slot, and nothing blocks it; for every receiver."""
-    if faults.at("guardian", way.step):
+def collides(faults: Faults, way: Passage, schedule: Schedule) -> bool:
+    """Return whether a node babbles in this slot, and nothing blocks it; for every receiver.
+
+    A bus guardian knows the owner of each slot that the schedule gives to one node. It cannot know
+    which contender wins a slot of the dynamic segment (FlexRay bus guardian specification 2.0.9).
+    """
+    owned = way.sender in schedule.static_senders(way.cycle)
+    if owned and faults.at("guardian", way.step):
         return False
     babblers = [nodes[0] for kind, nodes in faults.standing if kind == "babble"]
     for node in babblers:
@@ -98,11 +105,12 @@ def collides(faults: Faults, way: Passage) -> bool:
 
 def _carried(faults: Faults, way: Passage) -> bool:
     """Whether one of the channels brings it: each loses frames for all who listen to it."""
-    return any(carries(faults, way, place) for place, _ in enumerate(faults.equipment.channels))
+    return any(carries(faults, way, one) for one in way.channels or faults.equipment.channels)
 
 
-def carries(faults: Faults, way: Passage, place: int) -> bool:
-    """Return whether the channel of that place carries a frame; for every receiver."""
+def carries(faults: Faults, way: Passage, channel: str) -> bool:
+    """Return whether the channel carries a frame that is on it; for every receiver."""
+    place = faults.equipment.channels.index(channel)
     fails = faults.at("channel", way.step, place)
     draw = faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
     return fails is None or draw >= fails[0]

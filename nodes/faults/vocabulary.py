@@ -124,7 +124,7 @@ FAULTS: dict[str, FaultWord] = {
     ),
     "guardian": FaultWord(
         "bus", "bus", (Number("ON", 0, 1, True),), "guardian 1", "guardian 0",
-        "a bus guardian blocks what babbles",
+        "a bus guardian blocks what babbles in slots with an owner",
     ),
     "channel": FaultWord(
         "bus", "channel", (_P,), "channel B 1", "channel B 0",

@@ -114,6 +114,10 @@ class SharedBus(Choice, frozen=True, kw_only=True):
     serves_urgency: ClassVar[bool] = False
 
 
+ALL_CHANNELS: Literal["all"] = "all"
+"""Every frame is on all channels of its cluster."""
+
+
 class TimedBus(SharedBus, frozen=True, kw_only=True):
     """A bus whose cycles take time."""
 
@@ -130,6 +134,11 @@ class FlexRay(TimedBus, frozen=True, kw_only=True, tag="flexray"):
         Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
                "(on both channels), a preset (audi, bosch, ...), a TOML, FIBEX or ARXML file."),
     ] = "fitted"  # fmt: skip
+    channels: Annotated[
+        Literal["all", "A", "B", "split", "mixed"],
+        Option("Channels of the frames: all that the cluster has, A or B alone, split (half on "
+               "each), mixed (static ones on both, dynamic ones split)."),
+    ] = ALL_CHANNELS  # fmt: skip
 
 
 class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):

@@ -23,6 +23,7 @@ else:
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
 NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
+CHANNELS = Literal["all", "A", "B", "split", "mixed"]
 IDENTIFIERS = Literal["base", "extended"]
 
 
@@ -69,6 +70,7 @@ class ScenarioOptions(TypedDict, total=False):
     trigger: float
     slots: str
     cluster: str
+    channels: CHANNELS
     opportunity_bits: int
     burst_frames: int
     identifiers: IDENTIFIERS
@@ -131,6 +133,7 @@ class SweptOptions(TypedDict, total=False):
     trigger: Sequence[float] | np.ndarray | float
     slots: Sequence[str] | np.ndarray | str
     cluster: Sequence[str] | np.ndarray | str
+    channels: Sequence[CHANNELS] | np.ndarray | CHANNELS
     opportunity_bits: Sequence[int] | np.ndarray | int
     burst_frames: Sequence[int] | np.ndarray | int
     identifiers: Sequence[IDENTIFIERS] | np.ndarray | IDENTIFIERS

@@ -20,7 +20,8 @@ def minislot_by_minislot(cluster: Cluster, requests: list[Request]) -> dict[int,
         request = pending.get(slot)
         length = 1
         if request is not None and minislot <= cluster.latest_transmission_minislot:
-            bits = cluster.transmission_start_bits + 3 + 10 * (8 + request.payload_bytes)
+            # The dynamic trailing sequence has one bit at least.
+            bits = cluster.transmission_start_bits + 4 + 10 * (8 + request.payload_bytes)
             frame = math.ceil(
                 bits / cluster.bit_rate_mbps / cluster.minislot_macroticks / cluster.macrotick_us
                 - 1e-9

@@ -55,7 +55,7 @@ def test_the_whole_vocabulary_is_drawn():
     assert words == {*WORDS, "calm"} and {*EVERY_FAULT} < words
     assert {word.split()[0] for case in cases for word in case.wire} == {*WIRE_FAULTS}
     # Some cases are harmless and some have liars, so the promises on both are tested.
-    harmless = [case for case in cases if is_harmless(script_of(case.scenario))]
+    harmless = [case for case in cases if is_harmless(case.scenario)]
     liars = [case for case in cases if liars_of(case.scenario)]
     assert len(harmless) > 5 and len(liars) > 5
     assert {case.scenario.rule.name for case in liars} > {"trimmed-ci"}
@@ -87,6 +87,8 @@ def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm
         (("2 babble 1 0.5",), False),
         (("2 babble 1 0.5", "2 guardian 1"), False),
         (("1 guardian 1", "2 babble 1 0.5", "3 guardian 0"), False),
+        (("1 guardian 1", "2 babble 1 0.5", "3 set schedule=round-robin occupancy=0.5"), True),
+        (("1 guardian 1", "2 babble 1 0.5", "3 set schedule=hybrid occupancy=0.5"), False),
         (("1 channel A 1", "2 channel A 0.5"), True),
         (("1 channel A 1", "2 channel B 0.5"), False),
         (("1 spoof 0 1 0.5", "2 corrupt 0.1"), False),
@@ -95,8 +97,14 @@ def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm
 )
 def test_what_can_do_no_harm_is_known_from_its_words(lines: tuple[str, ...], harmless: bool):
     fixed = {"changes": lines, "nodes": 4, "graph": "ring", "cluster": "fitted-ab"}
-    case = draw_case(1, {**fixed, "rule": "ci", "scenario": "oscillator", "control": "open"})
-    assert is_harmless(script_of(case.scenario)) == harmless
+    fixed |= {
+        "rule": "ci",
+        "scenario": "oscillator",
+        "control": "open",
+        "schedule": "full",
+        "channels": "all",
+    }
+    assert is_harmless(draw_case(1, fixed).scenario) == harmless
 
 
 def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():

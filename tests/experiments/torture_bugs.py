@@ -74,7 +74,8 @@ BUGS = (
     ),
     Bug(
         "the checksum of a frame that is due is not checked",
-        "concord.bus.flexray.share_frames", "whole_body", (("and is_intact(frame)", ""),),
+        "concord.bus.flexray.share_frames", "whole_body",
+        (("and is_intact(frame, slot.checksum_channel)", ""),),
     ),
     Bug(
         "a frame that is due is that of any cycle",
@@ -86,7 +87,7 @@ BUGS = (
         "concord.bus.flexray.share_frames", "read_frame",
         (("if frame.null:", "if False:"),
          # Its payload is zero: cycle 0, which the header contradicts mostly.
-         ("frame.cycle_count)", "None if frame.null else frame.cycle_count)")),
+         ("frame.cycle_count, ", "None if frame.null else frame.cycle_count, ")),
     ),
     Bug(
         "a cut holds in one direction only",
@@ -161,7 +162,7 @@ BUGS = (
         "a guardian blocks nobody",
         "concord.nodes.faults.links",
         "collides",
-        (('if faults.at("guardian", way.step):', "if False:"),),
+        (('if owned and faults.at("guardian", way.step):', "if False:"),),
     ),
     Bug(
         "a channel that loses some frames loses all",

@@ -288,6 +288,20 @@ def test_a_babbling_idiot_leaves_nobody_but_itself_unless_it_is_guarded():
     assert same_bits(run(setup, "3 babble 3 1", "3 hang 3 9"), run(setup, "3 hang 3 9"))
 
 
+@pytest.mark.parametrize("schedule", ["dynamic", "hybrid"])
+def test_a_guardian_knows_the_owners_of_static_slots_alone(schedule: str):
+    """Of a hybrid ring nodes 0 and 1 own static slots, and nodes 2 and 3 contend."""
+    setup = ring(steps=60, schedule=schedule, occupancy=0.5)
+    babbling = run(setup, "0 babble 3 1")
+    guarded = run(setup, "0 guardian 1", "0 babble 3 1")
+    owned = run(setup, "0 guardian 1").published[..., :2].sum() if schedule == "hybrid" else 0
+    lost = [total(trace)["rejected collision"] for trace in (babbling, guarded)]
+    # Two neighbours hear each frame. The babbling node spoils no frame of its own.
+    assert lost[0] == 2 * babbling.published[..., :3].sum()
+    assert lost[1] == 2 * guarded.published[..., :3].sum() - 2 * owned > 0
+    assert same_bits(babbling, guarded) == (schedule == "dynamic")
+
+
 def test_a_frame_on_both_channels_is_lost_if_both_lose_it():
     redundant = ring(steps=60, cluster="fitted-ab")
     plain = run(redundant)

@@ -1,0 +1,1 @@
+"""Channels A and B: which frames each carries, and the slot counters of each."""

@@ -1,0 +1,78 @@
+"""Slot counters of the dynamic segment: one for all channels of a network, or one for each."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from concord.bus.bus import Transmission
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.slot_table import SlotTable
+from concord.bus.flexray.timing import dynamic_transmissions
+from concord.bus.flexray.written_slots import requests_of
+
+
+class SlotCounters:
+    """Slot counters of a network whose contenders have these slots, beside other stations.
+
+    A counter on both channels also counts the frames that other stations send on one alone.
+    """
+
+    def __init__(self, table: SlotTable, cluster: Cluster, others: Sequence[MessageSlot]) -> None:
+        self._cluster = cluster
+        self._others = others
+        self._channel_of = {
+            slot.node: slot.channel
+            for slot in table.assignments
+            if slot.frame_id >= table.first_dynamic_id
+        }
+        self._channels = sorted(set(self._channel_of.values()))
+
+    def all_sent(self, requests: Sequence[Request]) -> bool:
+        """Return whether these requests of nodes are sent while every other station sends."""
+        for _, own, beside in self._counted(requests, self._others):
+            waiting = walk(self._cluster, [*own, *requests_of(beside, self._cluster)]).waiting
+            if any(request.node in self._channel_of for request in waiting):
+                return False
+        return True
+
+    def most_fit(self, requests: Sequence[Request], most: int) -> int:
+        """Return how many requests, at most `most`, fit whichever they are; the last IDs of each
+        counter are the worst, as every slot before them counts by empty."""
+        counted = [own for _, own, _ in self._counted(requests, ())]
+        for count in range(most, 0, -1):
+            if all(self.all_sent(own[-count:]) for own in counted):
+                return count
+        return 0
+
+    def transmissions(
+        self, requests: Sequence[Request], due: Sequence[MessageSlot]
+    ) -> tuple[Transmission, ...]:
+        """Return the frames of the nodes' requests beside those that other stations have due."""
+        found: list[Transmission] = []
+        for channel, own, beside in self._counted(requests, due):
+            asked = [*own, *requests_of(beside, self._cluster)]
+            if beside:
+                # Frames of other stations that find no room wait; the arbiter let no node in.
+                waiting = walk(self._cluster, asked).waiting
+                asked = [one for one in asked if one not in waiting]
+            frames = dynamic_transmissions(self._cluster, asked, channel)
+            found += [frame for frame in frames if frame.node in self._channel_of]
+        return tuple(found)
+
+    def ranks(self, nodes: NDArray[np.int64], frame_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the order of frame IDs (..., C) of nodes (C,): equal ones go by channel."""
+        if len(self._channels) == 1:
+            return frame_ids
+        places = [self._channels.index(self._channel_of[node]) for node in nodes.tolist()]
+        return frame_ids * len(self._channels) + np.array(places, dtype=np.int64)
+
+    def _counted(
+        self, requests: Sequence[Request], others: Sequence[MessageSlot]
+    ) -> Iterator[tuple[str, list[Request], list[MessageSlot]]]:
+        """Yield the channel of each counter, the nodes' requests and the other frames on it."""
+        for channel in self._channels:
+            own = [one for one in requests if self._channel_of[one.node] == channel]
+            yield channel, own, [one for one in others if set(one.channel) & set(channel)]
