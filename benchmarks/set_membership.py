@@ -15,13 +15,13 @@ from functools import partial
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio
+from concord.filters.sets.bus_readings import augmented
+from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.cycle import CycleResult, turned
 from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
-from concord.papers.liu2021.bus import augmented
-from concord.papers.liu2021.closed_form import closed_form_step
-from concord.papers.liu2021.cycle import CycleResult, turned
-from concord.papers.liu2021.flexray_cycle import AugmentedCycle, DeliveredValues
-from concord.papers.liu2021.multipliers import Problem
-from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.filters.sets.lifted_cycle import AugmentedCycle, DeliveredValues
+from concord.filters.sets.multipliers import Problem
+from concord.filters.sets.recursive_estimator import optimal_step, problem
 from concord.papers.liu2021.runs import HELD, PLANT, G, N, simulate
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 

@@ -11,7 +11,7 @@ protocol, equations (2) to (5), the plain rule; a test holds it against the matr
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from concord.bus.schedule import Schedule
 
 RECEIVER = 0
+Row = TypeVar("Row")
 # Bits of a float64's fraction that a bid keeps: enough to order any two readings that a sensor can
 # tell apart, too few for the last bit of a sum.
 _FRACTION_BITS = 30
@@ -27,8 +28,13 @@ BID_RESOLUTION = 2.0**-_FRACTION_BITS
 _DROPPED_BITS = 52 - _FRACTION_BITS
 _ONE = 1023 << _FRACTION_BITS
 _OCTAVES = 64
+_ROUNDING = 2.0**-48
 BID_SPAN = (_ONE - (_OCTAVES << _FRACTION_BITS), _ONE + (_OCTAVES << _FRACTION_BITS))
 """Bids of squared changes from 2^-64 to 2^64: equal steps between them are equal ratios."""
+
+
+WeightsAt = Callable[[int], Sequence[np.ndarray]]
+"""slot -> the weights Q_j (m_j, m_j) of all sensors in it."""
 
 
 def zero_order_hold(received: np.ndarray) -> np.ndarray:
@@ -59,8 +65,9 @@ class SlotOutcome(NamedTuple):
 class MeasurementBus:
     """N sensors with `sizes` m_1..m_N, whose measurements (..., m) are stacked in their order.
 
-    `schedule` is one of the four below, or any other for N + 1 nodes in which node 0 is silent;
-    `weights` are the Q_j (m_j, m_j) of (4), the identity unless given.
+    `schedule` is one of the four below, or any other for N + 1 nodes in which node 0 is silent.
+    `weights` are the Q_j (m_j, m_j) of (4), the same in every slot or a function of the slot; the
+    identity unless given.
 
     Raises:
         ValueError: a size below one, weights or a schedule that do not fit the sensors.
@@ -68,7 +75,7 @@ class MeasurementBus:
 
     sizes: tuple[int, ...]
     schedule: Schedule
-    weights: tuple[np.ndarray, ...] = ()
+    weights: tuple[np.ndarray, ...] | WeightsAt = ()
     silent: Callable[[np.ndarray], np.ndarray] = zero_order_hold
 
     def __post_init__(self) -> None:
@@ -83,12 +90,14 @@ class MeasurementBus:
         for row in (*self.schedule.static_table, *self.schedule.contender_table):
             if RECEIVER in row:
                 raise ValueError("node 0 of a measurement bus receives; leave it out of all turns")
-        if len(self._weights) != len(self.sizes):
+        # A function of the slot is tried once, before anything starts.
+        weights = self.weights_at(0)
+        if len(weights) != len(self.sizes):
             raise ValueError(
-                f"{len(self._weights)} weights for {len(self.sizes)} sensors; give one matrix per "
+                f"{len(weights)} weights for {len(self.sizes)} sensors; give one matrix per "
                 "sensor, or none for the identity"
             )
-        for sensor, (weight, size) in enumerate(zip(self._weights, self.sizes, strict=True), 1):
+        for sensor, (weight, size) in enumerate(zip(weights, self.sizes, strict=True), 1):
             if np.shape(weight) != (size, size):
                 raise ValueError(
                     f"the weight of sensor {sensor} has shape {np.shape(weight)}, but its "
@@ -120,7 +129,7 @@ class MeasurementBus:
             sent[..., node - 1] = True
         contenders = [node - 1 for node in self.schedule.contenders(slot)]
         if contenders:
-            bids = self.bids(measurement, received)[..., contenders]
+            bids = self.bids(slot, measurement, received)[..., contenders]
             # Largest first, the lowest node among equals.
             ranks = np.argsort(np.argsort(-bids, axis=-1, kind="stable"), axis=-1)
             sent[..., contenders] = ranks < self.schedule.dynamic_slots(slot)
@@ -128,19 +137,21 @@ class MeasurementBus:
         fresh = np.repeat(sent, self.sizes, axis=-1)
         return SlotOutcome(sent, fresh, np.where(fresh, measurement, self.silent(received)))
 
-    def bids(self, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
+    def bids(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
         """The bid of every sensor (..., N), whole numbers; -1 where it has nothing to send."""
         change = measurement - received
         return np.stack(
             [
                 bid(change[..., rows], weight)
-                for rows, weight in zip(_slices(self.sizes), self._weights, strict=True)
+                for rows, weight in zip(_slices(self.sizes), self.weights_at(slot), strict=True)
             ],
             axis=-1,
         )
 
-    @property
-    def _weights(self) -> tuple[np.ndarray, ...]:
+    def weights_at(self, slot: int) -> tuple[np.ndarray, ...]:
+        """The weights Q_j (m_j, m_j) of all sensors in a slot."""
+        if callable(self.weights):
+            return tuple(self.weights(slot))
         return self.weights or tuple(np.eye(size) for size in self.sizes)
 
 
@@ -157,29 +168,40 @@ def bid(change: np.ndarray, weight: np.ndarray) -> NDArray[np.int64]:
     return np.where(np.isnan(urgency), -1, bits)
 
 
-def flexray(sensors: int, static_slots: int) -> Schedule:
+def largest_change(bids: np.ndarray) -> np.ndarray:
+    """The upper bound (...) of change' Q_j change over all changes with these bids or lower ones.
+
+    A receiver that computes the winner's bid knows that the weighted squared change of no loser is
+    larger. The bound covers the rounding of the sum in the bid. 0 for bids below 0.
+    """
+    above = np.maximum(np.asarray(bids, dtype=np.int64) + 1, 0) << _DROPPED_BITS
+    return above.view(np.float64) * (1.0 + _ROUNDING)
+
+
+def flexray(sensors: int, static_slots: int, first: int = 1) -> Schedule:
     """Cycles of l + 1 slots: sensors 1..l in turn, then one slot for which l+1..N contend.
 
-    Source: (2) and (4) with q = ceil(s / l1).
+    Source: (2) and (4) with q = ceil(s / l1). The turn of sensor 1 is in slot `first`: 1 as printed
+    by Meng et al., 0 as in Liu et al. (2021). With l = N no sensor contends, and each cycle ends
+    with an empty slot.
 
     Raises:
-        ValueError: `static_slots` is not in 0..sensors-1: one sensor at least must contend.
+        ValueError: `static_slots` is not in 0..sensors.
     """
-    if not 0 <= static_slots < sensors:
+    if not 0 <= static_slots <= sensors:
         raise ValueError(
-            f"{static_slots} static slots for {sensors} sensors; take 0 to {sensors - 1}, so that "
-            "one sensor at least contends for the dynamic slot"
+            f"{static_slots} static slots for {sensors} sensors; take 0 to {sensors}, one for "
+            "each sensor at most"
         )
-    # Slot s is row s mod (l + 1), and s = l + 1 the first dynamic one: it is row 0.
-    turns = tuple((node,) for node in range(1, static_slots + 1))
+    turns = _begun(((*((node,) for node in range(1, static_slots + 1)), ())), first)
+    dynamic = _begun((*(0,) * static_slots, 1), first)
     contenders = tuple(range(static_slots + 1, sensors + 1))
-    return Schedule(sensors + 1, ((), *turns), (contenders,), (1, *(0,) * static_slots))
+    return Schedule(sensors + 1, turns, (contenders,), dynamic)
 
 
-def round_robin(sensors: int, members: Sequence[int]) -> Schedule:
-    """The members of 1..sensors in turn, one per slot; the first sends in slot 1."""
-    last_first = (*members[-1:], *members[:-1])
-    return Schedule(sensors + 1, tuple((node,) for node in last_first))
+def round_robin(sensors: int, members: Sequence[int], first: int = 1) -> Schedule:
+    """The members of 1..sensors in turn, one per slot; the first of them sends in slot `first`."""
+    return Schedule(sensors + 1, _begun(tuple((node,) for node in members), first))
 
 
 def try_once_discard(sensors: int, members: Sequence[int]) -> Schedule:
@@ -195,6 +217,12 @@ def all_at_once(sensors: int) -> Schedule:
 def nobody(sensors: int) -> Schedule:
     """No sensor ever: prediction alone, for comparison."""
     return Schedule(sensors + 1, ((),))
+
+
+def _begun(rows: tuple[Row, ...], first: int) -> tuple[Row, ...]:
+    """Rows of which the first one belongs to slot `first` and is repeated from there on."""
+    turned = -first % len(rows)
+    return (*rows[turned:], *rows[:turned])
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
-from concord.papers.liu2021.bus import MeasuredPlant
-from concord.papers.liu2021.flexray_cycle import DeliveredValues, transmit
+from concord.filters.sets.bus_readings import MeasuredPlant
+from concord.filters.sets.lifted_cycle import DeliveredValues, WeightsAtStep
 from concord.plants.bounded import BoundedSystem
+from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
 
 STEPS = 12
 
@@ -29,7 +30,9 @@ def sizes(draw: st.DrawFn, contending: int = 0) -> Sizes:
     return Sizes(draw(st.integers(1, 3)), outputs, static, draw(st.integers(1, 2)))
 
 
-def random_plant(rng: np.random.Generator, of: Sizes, steps: int = STEPS) -> MeasuredPlant:
+def random_plant(
+    rng: np.random.Generator, of: Sizes, steps: int = STEPS
+) -> MeasuredPlant[BoundedSystem]:
     """Time-varying matrices of a plant that may be unstable, each step drawn by itself."""
     n, m, static, q = of
     transition = rng.standard_normal((steps, n, n)) * rng.uniform(0.3, 1.1) / np.sqrt(n)
@@ -48,6 +51,12 @@ def random_plant(rng: np.random.Generator, of: Sizes, steps: int = STEPS) -> Mea
     return MeasuredPlant(system, static, lambda k: weights[k])
 
 
+def transmit(outputs: np.ndarray, static_outputs: int, weights: WeightsAtStep) -> DeliveredValues:
+    """Outputs (..., steps, m) over the measurement bus."""
+    bus = bus_of_outputs(outputs.shape[-1], static_outputs, weights)
+    return delivered(bus, static_outputs, outputs)
+
+
 def on_the_sphere(rng: np.random.Generator, *shape: int) -> np.ndarray:
     """Unit vectors along the last axis: the ends of an interval where it is one long."""
     vectors = rng.standard_normal(shape)
@@ -55,7 +64,7 @@ def on_the_sphere(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def run_of(
-    rng: np.random.Generator, plant: MeasuredPlant, lanes: int, cycles: int
+    rng: np.random.Generator, plant: MeasuredPlant[BoundedSystem], lanes: int, cycles: int
 ) -> tuple[np.ndarray, DeliveredValues]:
     """States (lanes, steps + 1, n) from the edge of the unit ball under noise on its bound."""
     n, q = plant.system.noise_input(0).shape

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.sets.bus_readings import augmented
+from concord.filters.sets.cycle import turned
 from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
-from concord.papers.liu2021.bus import augmented
-from concord.papers.liu2021.cycle import turned
-from concord.papers.liu2021.multipliers import Problem
-from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.filters.sets.multipliers import Problem
+from concord.filters.sets.recursive_estimator import optimal_step, problem
 from concord.papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 

@@ -4,8 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.runs import BoundedEstimates, SequenceBatch, by_cycle, paper, simulate
+from concord.bus.measurement_bus import MeasurementBus
+from concord.filters.sets.recursive_estimator import optimal_step
+from concord.papers.liu2021.runs import (
+    BUS,
+    BoundedEstimates,
+    SequenceBatch,
+    by_cycle,
+    paper,
+    simulate,
+)
 
 
 class Mutant(NamedTuple):
@@ -31,11 +39,17 @@ def mutant_of_sign(batch: SequenceBatch) -> Mutant:
 
 def mutant_of_rule(seed: int, sequences: int, cycles: int) -> Mutant:
     """Winners by Q y^2, as the tables suggest, and the estimator believing in (5)."""
-    return _mutant(paper(simulate(seed, sequences, cycles, _largest_value)))
+    return _mutant(paper(simulate(seed, sequences, cycles, by_value(BUS))))
 
 
-def _largest_value(values: np.ndarray, held: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    return np.argmax(weights * values**2, axis=-1)
+class _ByValue(MeasurementBus):
+    def bids(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
+        return super().bids(slot, measurement, np.zeros_like(received))
+
+
+def by_value(bus: MeasurementBus) -> MeasurementBus:
+    """The same bus, whose sensors bid what they measure, not how much it has changed."""
+    return _ByValue(bus.sizes, bus.schedule, bus.weights)
 
 
 def _mutant(outcome: BoundedEstimates) -> Mutant:

@@ -5,7 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.measurement_bus import MeasurementBus
 from concord.filters.sets import zonotope
+from concord.filters.sets.bus_readings import (
+    MeasuredPlant,
+    augmented,
+    cycle_evidence,
+    step_evidence,
+)
+from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.cycle import CycleResult
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     half_widths,
@@ -13,23 +22,19 @@ from concord.filters.sets.ellipsoid import (
     shape_matrix,
     squared_radius,
 )
-from concord.filters.sets.zonotope import Zonotope
-from concord.papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
-from concord.papers.liu2021.closed_form import closed_form_step
-from concord.papers.liu2021.cycle import CycleResult
-from concord.papers.liu2021.flexray_cycle import (
+from concord.filters.sets.lifted_cycle import (
     AugmentedCycle,
     DeliveredValues,
-    Select,
-    largest_change,
-    transmit,
 )
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.tight_estimator import conditioned_step, step_by_step
-from concord.papers.liu2021.zonotope_filter import zonotope_step
+from concord.filters.sets.recursive_estimator import optimal_step
+from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
+from concord.filters.sets.zonotope import Zonotope
+from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.plants import liu2021
+from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
 
 PLANT = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
+BUS = bus_of_outputs(liu2021.OUTPUTS, liu2021.STATIC_OUTPUTS, liu2021.weights)
 N, G = liu2021.STATES, PLANT.length
 HELD = liu2021.OUTPUTS - liu2021.STATIC_OUTPUTS
 FAMILIES = ("uniform", "random ends", "square wave", "sinusoid")
@@ -82,9 +87,7 @@ class BoundedEstimates(NamedTuple):
         return ~(self.radius <= 1.0)
 
 
-def simulate(
-    seed: int, sequences: int, cycles: int, select: Select = largest_change
-) -> SequenceBatch:
+def simulate(seed: int, sequences: int, cycles: int, bus: MeasurementBus = BUS) -> SequenceBatch:
     """The paper's sequence and as many more, with the initial state in the unit ball and noise of
     four families, three of which go to its bound."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
@@ -97,7 +100,7 @@ def simulate(
         length = 1.0 if number % 2 else rng.uniform()
         starts.append(length * direction / np.linalg.norm(direction))
     states, outputs = liu2021.SYSTEM.simulate(np.array(starts), np.array(noise))
-    return SequenceBatch(states, transmit(outputs, liu2021.STATIC_OUTPUTS, liu2021.weights, select))
+    return SequenceBatch(states, delivered(bus, liu2021.STATIC_OUTPUTS, outputs))
 
 
 def _uniform(rng: np.random.Generator, steps: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.papers.liu2021.multipliers import Problem
+from concord.filters.sets.multipliers import Problem
 
 
 class Solution(NamedTuple):

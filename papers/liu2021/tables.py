@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.measurement_bus import MeasurementBus
 from concord.filters.lanes import join_columns
+from concord.filters.sets.bus_readings import augmented
 from concord.filters.sets.ellipsoid import Ellipsoid, squared
-from concord.papers.liu2021.bus import augmented
-from concord.papers.liu2021.flexray_cycle import transmit
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.runs import HELD, PLANT, G, N
+from concord.filters.sets.recursive_estimator import optimal_step
+from concord.papers.liu2021.runs import BUS, HELD, PLANT, G, N
 from concord.plants import liu2021
+from concord.scenarios.definitions.measurement_runs import delivered
 
 WINNER_OF_TABLES = 1
 _HAIR = 1e-7
@@ -56,16 +57,20 @@ class GainDifference(NamedTuple):
     relative: float
 
 
+class _Forced(MeasurementBus):
+    """The bus on which the winner of the tables wins always."""
+
+    def bids(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
+        sensors = np.arange(len(self.sizes))
+        return np.where(sensors == liu2021.STATIC_OUTPUTS + WINNER_OF_TABLES, 1, 0)
+
+
 def gains_of_tables() -> np.ndarray:
     """L(t_0), L(t_1), L(t_2) (3, 14, 4) on the paper's noise, with output 4 winning each time."""
     cycles, size = len(PUBLISHED), G * N + HELD
     _, outputs = liu2021.SYSTEM.simulate(liu2021.INITIAL_STATE, liu2021.printed_noise(cycles * G))
-    received = transmit(
-        outputs,
-        liu2021.STATIC_OUTPUTS,
-        liu2021.weights,
-        select=lambda values, held, weights: np.array(WINNER_OF_TABLES),
-    )
+    forced = _Forced(BUS.sizes, BUS.schedule, BUS.weights)
+    received = delivered(forced, liu2021.STATIC_OUTPUTS, outputs)
     kept, gains = Ellipsoid(np.zeros(size), np.eye(size)), []
     for cycle in range(cycles):
         model = augmented(PLANT, received, cycle)

@@ -1,5 +1,6 @@
 """The measurement bus against the paper's rule written out sensor by sensor, and its matrices."""
 
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from concord.bus.measurement_bus import (
     all_at_once,
     bid,
     flexray,
+    largest_change,
     nobody,
     round_robin,
     try_once_discard,
@@ -94,6 +96,20 @@ def test_the_common_misreading_is_another_order():
     assert turns[5] == 1 != misread[5]
 
 
+def test_the_first_turn_may_be_in_slot_0():
+    turns = [sender_of(flexray(4, 2, first=0), slot) for slot in range(6)]
+    assert turns == [1, 2, "d", 1, 2, "d"]
+    assert flexray(4, 2, first=0).contenders(2) == (3, 4)
+    assert [sender_of(round_robin(3, [2, 3], first=0), slot) for slot in range(3)] == [2, 3, 2]
+
+
+def test_without_contenders_each_cycle_ends_with_an_empty_slot():
+    schedule = flexray(3, 3, first=0)
+    senders = [schedule.static_senders(slot) for slot in range(5)]
+    assert senders == [(1,), (2,), (3,), (), (1,)]
+    assert schedule.contenders(3) == ()
+
+
 def test_round_robin_begins_with_its_first_member():
     schedule = round_robin(6, [2, 5, 3])
     assert [sender_of(schedule, slot) for slot in range(1, 8)] == [2, 5, 3, 2, 5, 3, 2]
@@ -146,6 +162,15 @@ def test_weights_decide_who_wins():
     for weights, winner in (((np.eye(1), np.eye(2)), 2), ((9 * np.eye(1), np.eye(2)), 1)):
         bus = MeasurementBus(sizes, schedule, weights)
         assert np.flatnonzero(bus.transmit(1, measurement, np.zeros(3)).sent) == [winner - 1]
+
+
+def test_weights_may_differ_from_slot_to_slot():
+    turns = ((np.eye(1), 9 * np.eye(1)), (9 * np.eye(1), np.eye(1)))
+    bus = MeasurementBus((1, 1), try_once_discard(2, [1, 2]), lambda slot: turns[slot % 2])
+    for slot, winner in ((4, 2), (5, 1)):
+        assert np.flatnonzero(bus.transmit(slot, np.ones(2), np.zeros(2)).sent) == [winner - 1]
+    with pytest.raises(ValueError, match="1 weights for 2 sensors"):
+        MeasurementBus((1, 1), try_once_discard(2, [1, 2]), lambda slot: (np.eye(1),))
 
 
 def test_what_is_contended_for_is_the_change_and_not_the_value():
@@ -226,8 +251,29 @@ def test_bids_move_by_one_number_under_a_power_of_two(sensors, seed: int, expone
     bus = MeasurementBus(tuple(sizes), all_at_once(len(sizes)), random_weights(seed, sizes))
     measurement, received = numbers(seed, 2, sum(sizes))
     factor = 2.0**exponent
-    moved = bus.bids(factor * measurement, factor * received) - bus.bids(measurement, received)
+    before = bus.bids(1, measurement, received)
+    moved = bus.bids(1, factor * measurement, factor * received) - before
     np.testing.assert_array_equal(moved, round(2 * exponent / BID_RESOLUTION))
+
+
+@given(CHANGES, st.integers(0, 2**20), SCALES)
+def test_no_change_with_a_bid_or_a_lower_one_is_above_its_limit(change, seed: int, scale: float):
+    (weight,) = random_weights(seed, (3,))
+    change = scale * np.array(change)
+    exact = _weighted_square(change, weight)
+    assume(exact == 0 or exact > 1e-200)
+    limit = float(largest_change(bid(change, weight)))
+    assert exact <= limit
+    assert limit <= float(exact) * (1 + 2 * BID_RESOLUTION) + 1e-300
+
+
+def _weighted_square(change, weight: np.ndarray) -> Fraction:
+    parts = [Fraction(float(one)) for one in change]
+    rows = [[Fraction(float(entry)) for entry in row] for row in weight]
+    return sum(
+        (a * entry * b for a, row in zip(parts, rows, strict=True)
+         for entry, b in zip(row, parts, strict=True)), Fraction(0),
+    )  # fmt: skip
 
 
 def test_no_bid_for_no_measurement():
@@ -238,9 +284,9 @@ def test_no_bid_for_no_measurement():
 # --- refusals ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("static_slots", [-1, 6, 7])
-def test_static_slots_that_leave_nobody_to_contend(static_slots: int):
-    with pytest.raises(ValueError, match=f"{static_slots} static slots for 6 sensors; take 0 to 5"):
+@pytest.mark.parametrize("static_slots", [-1, 7])
+def test_more_static_slots_than_sensors(static_slots: int):
+    with pytest.raises(ValueError, match=f"{static_slots} static slots for 6 sensors; take 0 to 6"):
         flexray(6, static_slots)
 
 

@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.papers.liu2021.bus import MeasuredPlant
-from concord.papers.liu2021.flexray_cycle import augment, largest_change, lift, transmit
+from concord.filters.sets.bus_readings import MeasuredPlant
+from concord.filters.sets.lifted_cycle import augment, lift
 from concord.plants import liu2021
-from tests.bounded_systems import Sizes, on_the_sphere, random_plant, sizes
+from concord.plants.bounded import BoundedSystem
+from tests.bounded_systems import Sizes, on_the_sphere, random_plant, sizes, transmit
 
 EXAMPLE = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 
 
-def rolled_out(plant: MeasuredPlant, noise: np.ndarray, start: np.ndarray):
+def rolled_out(plant: MeasuredPlant[BoundedSystem], noise: np.ndarray, start: np.ndarray):
     states, outputs = plant.system.simulate(start, noise)
     return states, outputs, transmit(outputs, plant.static_outputs, plant.weights)
 
@@ -31,7 +32,7 @@ def test_augmented_cycles_are_the_plant_and_the_bus_exactly(of: Sizes, seed: int
     z = np.concatenate([first, states[:, 0], np.zeros((5, of.outputs - static))], axis=-1)
     for cycle in range(cycles):
         lifted = lift(plant.system, static, plant.weights, cycle)
-        model = augment(lifted, received.winner[:, cycle])
+        model = augment(lifted, received.winner[:, cycle], np.zeros(5))
         v = noise[:, cycle * length : (cycle + 1) * length]
         change = z @ model.candidates.T + np.einsum("rgq,bgq->br", model.candidates_noise, v)
         last = outputs[:, (cycle + 1) * length - 1, static:]
@@ -73,9 +74,31 @@ def test_static_outputs_are_of_their_own_step_and_losers_are_held():
 
 
 def test_weights_decide_and_the_first_wins_among_equals():
-    held = np.zeros(3)
-    assert largest_change(np.array([2.0, -2.0, 2.0]), held, np.ones(3)) == 0
-    assert largest_change(np.array([2.0, -2.0, 1.0]), held, np.array([1.0, 1.0, 5.0])) == 2
+    for outputs, weights, winner in (
+        ([2.0, -2.0, 2.0], [1.0, 1.0, 1.0], 0),
+        ([2.0, -2.0, 1.0], [1.0, 1.0, 5.0], 2),
+    ):
+        received = transmit(np.array([outputs]), 0, lambda _, own=weights: np.array(own))
+        assert received.winner == [winner]
+
+
+@settings(max_examples=200)
+@given(
+    changes=st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=5),
+    scale=st.integers(-6, 6),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_no_loser_has_changed_more_than_the_limit(changes: list[float], scale: int, seed: int):
+    # Changes of which some are as near to each other as numbers can be.
+    outputs = np.array([changes]) * 10.0**scale
+    outputs[0, -1] = np.nextafter(outputs[0, 0], np.inf)
+    weights = np.random.default_rng(seed).uniform(0.5, 2.0, outputs.shape[-1])
+    weights[-1] = weights[0]
+    received = transmit(outputs, 0, lambda _: weights)
+    squares = weights * outputs[0] ** 2
+    assert squares.max() <= received.limit[0]
+    # The resolution of the bus is all that is added.
+    assert received.limit[0] <= squares.max() * (1 + 2e-9) + 1e-300
 
 
 def test_the_rule_gives_the_known_winners_on_the_papers_noise():
@@ -93,7 +116,7 @@ def test_the_example_is_unstable_and_as_large_as_reported():
 
 
 def test_a_bus_that_cannot_be_is_refused():
-    with pytest.raises(ValueError, match="from 0 to 4"):
+    with pytest.raises(ValueError, match="5 static slots for 4 sensors; take 0 to 4"):
         transmit(np.zeros((6, 4)), 5, lambda _: np.ones(0))
     with pytest.raises(ValueError, match="cycles of 3"):
         transmit(np.zeros((7, 4)), 2, lambda _: np.ones(2))

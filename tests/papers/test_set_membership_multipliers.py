@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from concord.filters.sets.ellipsoid import sum_factor
-from concord.papers.liu2021.multipliers import (
+from concord.filters.sets.multipliers import (
     Problem,
     certified_bound,
     optimal_multipliers,

@@ -6,16 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.filters.linalg import multiply
+from concord.filters.sets.bus_readings import MeasuredPlant, augmented
+from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.cycle import turned
 from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix, squared_radius
-from concord.papers.liu2021.bus import MeasuredPlant, augmented
-from concord.papers.liu2021.closed_form import closed_form_step
-from concord.papers.liu2021.cycle import turned
-from concord.papers.liu2021.flexray_cycle import AugmentedCycle, transmit
-from concord.papers.liu2021.multipliers import smallest_bound
-from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.filters.sets.lifted_cycle import AugmentedCycle
+from concord.filters.sets.multipliers import smallest_bound
+from concord.filters.sets.recursive_estimator import optimal_step, problem
+from concord.papers.liu2021.mutants import by_value as bus_by_value
+from concord.papers.liu2021.runs import BUS
 from concord.plants import liu2021
 from concord.plants.bounded import BoundedSystem
-from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes
+from concord.scenarios.definitions.measurement_runs import delivered
+from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes, transmit
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEPS = pytest.mark.parametrize("step", [optimal_step, closed_form_step])
@@ -26,12 +29,12 @@ def unit_ball(lanes: tuple[int, ...], size: int) -> Ellipsoid:
     return Ellipsoid(np.zeros((*lanes, size)), np.broadcast_to(np.eye(size), (*lanes, size, size)))
 
 
-def starting_ball(plant: MeasuredPlant, lanes: int) -> Ellipsoid:
+def starting_ball(plant: MeasuredPlant[BoundedSystem], lanes: int) -> Ellipsoid:
     n, held = len(plant.system.transition(0)), len(plant.weights(plant.static_outputs))
     return unit_ball((lanes,), plant.length * n + held)
 
 
-def followed(step, plant: MeasuredPlant, states, received, before=None):
+def followed(step, plant: MeasuredPlant[BoundedSystem], states, received, before=None):
     """Squared radii (cycles, lanes) of the truth, and the ellipsoids after each cycle."""
     cycles, lanes = received.values.shape[-2], len(states)
     kept = before or starting_ball(plant, lanes)
@@ -240,9 +243,7 @@ def test_a_wrong_sign_and_a_wrong_rule_are_found_out():
     radii, _ = followed(flipped, EXAMPLE, states, received)
     assert (radii > 1).any()
     states, outputs = liu2021.SYSTEM.simulate(states[:, 0], on_the_sphere(rng, 100, 39, 1))
-    by_value = transmit(
-        outputs, 2, liu2021.weights, lambda values, held, q: np.argmax(q * values**2, -1)
-    )
+    by_value = delivered(bus_by_value(BUS), 2, outputs)
     radii, _ = followed(optimal_step, EXAMPLE, states, by_value)
     assert (radii > 1).any()
     # Without the terms of the losers it does not matter who won.

@@ -5,6 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.filters.sets.bus_readings import (
+    MeasuredPlant,
+    augmented,
+    cycle_evidence,
+    step_evidence,
+)
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     half_widths,
@@ -15,15 +21,15 @@ from concord.filters.sets.ellipsoid import (
     sum_factor,
 )
 from concord.filters.sets.ellipsoid_intersection import strip_intersection
+from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, no_readings
+from concord.filters.sets.lifted_cycle import DeliveredValues
+from concord.filters.sets.recursive_estimator import optimal_step
+from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
 from concord.filters.sets.zonotope import Zonotope, around, gauge
 from concord.filters.sets.zonotope import half_widths as zonotope_half_widths
-from concord.papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
-from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, no_readings
-from concord.papers.liu2021.flexray_cycle import DeliveredValues
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.tight_estimator import conditioned_step, step_by_step
-from concord.papers.liu2021.zonotope_filter import zonotope_step
+from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.plants import liu2021
+from concord.plants.bounded import BoundedSystem
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -34,7 +40,7 @@ def unit_ball(lanes: tuple[int, ...], n: int) -> Ellipsoid:
     return Ellipsoid(np.zeros((*lanes, n)), np.broadcast_to(np.eye(n), (*lanes, n, n)))
 
 
-def by_cycle(plant: MeasuredPlant, states: np.ndarray, received: DeliveredValues):
+def by_cycle(plant: MeasuredPlant[BoundedSystem], states: np.ndarray, received: DeliveredValues):
     """Squared radii of the truth after each cycle, and the ellipsoids."""
     n, g = states.shape[-1], plant.length
     kept, radii, sets = unit_ball(states.shape[:1], n), [], []
@@ -47,7 +53,9 @@ def by_cycle(plant: MeasuredPlant, states: np.ndarray, received: DeliveredValues
     return np.array(radii), sets
 
 
-def by_step(plant: MeasuredPlant, states: np.ndarray, received: DeliveredValues) -> np.ndarray:
+def by_step(
+    plant: MeasuredPlant[BoundedSystem], states: np.ndarray, received: DeliveredValues
+) -> np.ndarray:
     kept, radii = unit_ball(states.shape[:1], states.shape[-1]), []
     for cycle in range(received.values.shape[-2]):
         for after in step_by_step(kept, step_evidence(plant, received, cycle)):

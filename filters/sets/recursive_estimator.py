@@ -14,10 +14,10 @@ import numpy as np
 
 from concord.filters.lanes import join_columns, join_stacks
 from concord.filters.linalg import multiply
+from concord.filters.sets.cycle import CycleResult, ball, flat, follow, turned, unknowns
 from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
-from concord.papers.liu2021.cycle import CycleResult, ball, flat, follow, turned, unknowns
-from concord.papers.liu2021.flexray_cycle import AugmentedCycle
-from concord.papers.liu2021.multipliers import Problem, smallest_bound
+from concord.filters.sets.lifted_cycle import AugmentedCycle
+from concord.filters.sets.multipliers import Problem, smallest_bound
 
 
 def optimal_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:
@@ -53,7 +53,7 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     constant = multiply(cycle.candidates, before.centre)[..., None]
     noise = flat(cycle.candidates_noise)
     change = join_columns(constant, cycle.candidates @ position, noise)
-    squares = cycle.weights[:, None, None] * change[..., :, None] * change[..., None, :]
+    squares = cycle.weights[..., :, None, None] * change[..., :, None] * change[..., None, :]
     # A bound of the rounding error of the comparison, added as a constant that weakens the term.
     reach = np.abs(before.centre) + half_widths(before)
     largest = multiply(np.abs(cycle.candidates), reach)
@@ -68,4 +68,5 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     of_winner = np.take_along_axis(squares, winner[..., None, None], -3)
     terms = of_losers - of_winner
     terms[..., 0, 0] -= np.take_along_axis(slack, lost, -1) + np.take_along_axis(slack, winner, -1)
+    terms[..., 0, 0] -= cycle.excess[..., None]
     return terms

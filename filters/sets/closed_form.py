@@ -9,9 +9,9 @@ Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids aft
 
 import numpy as np
 
+from concord.filters.sets.cycle import CycleResult, follow, turned, unknowns
 from concord.filters.sets.ellipsoid import Ellipsoid, replace_lost, rounding_bound
-from concord.papers.liu2021.cycle import CycleResult, follow, turned, unknowns
-from concord.papers.liu2021.flexray_cycle import AugmentedCycle
+from concord.filters.sets.lifted_cycle import AugmentedCycle
 
 _ITERATIONS = 60
 _EDGE = 1e-12

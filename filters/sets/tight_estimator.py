@@ -20,6 +20,7 @@ import numpy as np
 
 from concord.filters.lanes import join_columns, join_stacks
 from concord.filters.linalg import multiply
+from concord.filters.sets.cycle import flat
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
@@ -29,9 +30,8 @@ from concord.filters.sets.ellipsoid import (
     replace_lost,
     rounding_bound,
 )
-from concord.papers.liu2021.cycle import flat
-from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
-from concord.papers.liu2021.multipliers import Problem, smallest_bound
+from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
+from concord.filters.sets.multipliers import Problem, smallest_bound
 
 _RANK_TOLERANCE = 1e-9
 

@@ -21,7 +21,7 @@ from concord.filters.sets.ellipsoid import (
     rounding_bound,
     squared,
 )
-from concord.papers.liu2021.flexray_cycle import AugmentedCycle
+from concord.filters.sets.lifted_cycle import AugmentedCycle
 
 
 class CycleResult(NamedTuple):

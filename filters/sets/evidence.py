@@ -46,11 +46,12 @@ def bus_evidence(
     weights: np.ndarray,
     held: np.ndarray,
     winner: np.ndarray,
+    limit: np.ndarray,
 ) -> StepReadings:
-    """Return the evidence of one FlexRay cycle.
+    """Return the evidence of one communication cycle.
 
     The first `static` outputs and the winner of the others are known exactly. Of each loser the
-    bus tells that its change was not larger than the winner's.
+    bus tells that its weighted squared change was not larger than `limit`.
 
     Args:
         motion: over the cycle, or over its last step.
@@ -58,6 +59,7 @@ def bus_evidence(
             the values that were sent are looked at.
         weights: (c,) of the contending outputs. held: (..., c), their values before.
         winner: (...), which of them was sent.
+        limit: (...), of the winner's weighted squared change and the resolution of the bus.
     """
     count = len(weights)
     winner = np.asarray(winner)[..., None]
@@ -67,9 +69,7 @@ def bus_evidence(
     exact = _rows(outputs, sent, outputs.values, np.zeros(sent.shape))
     if count < 2:
         return StepReadings(motion, exact, no_readings(outputs))
-    change = np.abs(np.take_along_axis(outputs.values[..., static:] - held, winner, -1))
-    allowed = change * np.sqrt(np.take_along_axis(np.broadcast_to(weights, held.shape), winner, -1))
-    half_widths = allowed / np.sqrt(weights[lost])
+    half_widths = np.sqrt(np.asarray(limit)[..., None] / weights[lost])
     centres = np.concatenate([outputs.values[..., :static], held], axis=-1)
     return StepReadings(motion, exact, _rows(outputs, static + lost, centres, half_widths))
 

@@ -1,37 +1,39 @@
-"""A bounded plant over a FlexRay measurement bus, as the set-membership filters see each cycle.
+"""A bounded plant over a measurement bus, as the set-membership filters see each cycle.
 
 Plants and filters know nothing of each other; here the lifted plant and what the bus delivered
-become the cycle of `concord.papers.liu2021.cycle` and the evidence of
-`concord.papers.liu2021.evidence`. Leading axes of what was received are lanes.
+become the cycle of `concord.filters.sets.cycle` and the evidence of
+`concord.filters.sets.evidence`. Leading axes of what was received are lanes.
 """
 
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from concord.papers.liu2021.evidence import (
+from concord.filters.sets.evidence import (
     BoundedMotion,
     Readings,
     StepReadings,
     bus_evidence,
     no_readings,
 )
-from concord.papers.liu2021.flexray_cycle import (
+from concord.filters.sets.lifted_cycle import (
     AugmentedCycle,
     DeliveredValues,
-    WeightsAtCycle,
+    LinearBoundedSystem,
+    WeightsAtStep,
     augment,
     lift,
 )
-from concord.plants.bounded import BoundedSystem
+
+System = TypeVar("System", bound=LinearBoundedSystem)
 
 
-class MeasuredPlant(NamedTuple):
+class MeasuredPlant(NamedTuple, Generic[System]):
     """A plant, l of whose outputs are sent in turn, and the weights of the others (5)."""
 
-    system: BoundedSystem
+    system: System
     static_outputs: int
-    weights: WeightsAtCycle
+    weights: WeightsAtStep
 
     @property
     def length(self) -> int:
@@ -42,7 +44,20 @@ class MeasuredPlant(NamedTuple):
 def augmented(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> AugmentedCycle:
     """A cycle for the paper's estimator and its fast form."""
     lifted = lift(plant.system, plant.static_outputs, plant.weights, cycle)
-    return augment(lifted, received.winner[..., cycle])
+    winner = received.winner[..., cycle]
+    return augment(lifted, winner, _excess(plant, lifted.weights, received, cycle))
+
+
+def _excess(
+    plant: MeasuredPlant, weights: np.ndarray, received: DeliveredValues, cycle: int
+) -> np.ndarray:
+    """By how much (...) a loser's weighted squared change may be above the winner's."""
+    if not len(weights):
+        return np.zeros(received.winner.shape[:-1])
+    change = received.values[..., cycle, plant.static_outputs :] - received.held[..., cycle, :]
+    winner = received.winner[..., cycle, None]
+    largest = np.take_along_axis(weights * change**2, winner, -1)[..., 0]
+    return np.maximum(received.limit[..., cycle] - largest, 0.0)
 
 
 def cycle_evidence(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> StepReadings:
@@ -57,6 +72,7 @@ def cycle_evidence(plant: MeasuredPlant, received: DeliveredValues, cycle: int) 
         lifted.weights,
         received.held[..., cycle, :],
         received.winner[..., cycle],
+        received.limit[..., cycle],
     )
 
 
@@ -82,5 +98,6 @@ def step_evidence(
             steps.append(StepReadings(motion, outputs, no_readings(outputs)))
         else:
             held, winner = received.held[..., cycle, :], received.winner[..., cycle]
-            steps.append(bus_evidence(motion, outputs, 0, plant.weights(step), held, winner))
+            weights, limit = plant.weights(step), received.limit[..., cycle]
+            steps.append(bus_evidence(motion, outputs, 0, weights, held, winner, limit))
     return steps

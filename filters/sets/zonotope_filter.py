@@ -8,10 +8,10 @@ import numpy as np
 
 from concord.filters.lanes import join_columns, join_entries, join_rows
 from concord.filters.linalg import multiply
+from concord.filters.sets.cycle import flat
 from concord.filters.sets.ellipsoid import rounding_bound
+from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
 from concord.filters.sets.zonotope import Zonotope, half_widths, reduced
-from concord.papers.liu2021.cycle import flat
-from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
 
 GENERATORS = 30
 

@@ -1,4 +1,4 @@
-"""A plant seen through FlexRay cycles: l outputs in turn, then one of the others, the most changed.
+"""A plant seen through cycles of a bus: l outputs in turn, then the most changed of the others.
 
 A cycle has g = l + 1 steps. In step r < l the bus sends output r (round robin). In step l it sends
 one of the other outputs (try once discard): the one that differs most, by weight, from its last
@@ -12,15 +12,27 @@ l + 1 (printed: modulo l) and with arg max in (5).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.plants.bounded import BoundedSystem
+WeightsAtStep = Callable[[int], np.ndarray]
+"""step -> Q (m - l,) of the contending outputs in it, positive."""
 
-WeightsAtCycle = Callable[[int], np.ndarray]
-Select = Callable[[np.ndarray, np.ndarray, np.ndarray], NDArray[np.int_]]
+
+class LinearBoundedSystem(Protocol):
+    """x' = A x + B v, y = C x + D v with |v| <= 1 (see `concord.plants.bounded`)."""
+
+    @property
+    def transition(self) -> Callable[[int], np.ndarray]: ...
+
+    @property
+    def output(self) -> Callable[[int], np.ndarray]: ...
+
+    def scaled_noise_input(self, step: int) -> np.ndarray: ...
+
+    def scaled_feedthrough(self, step: int) -> np.ndarray: ...
 
 
 class DeliveredValues(NamedTuple):
@@ -29,12 +41,15 @@ class DeliveredValues(NamedTuple):
     Attributes:
         values: (..., cycles, m), ybar(t_k): the outputs sent in cycle k, held ones where not sent.
         held: (..., cycles, m - l), of the contending outputs before each cycle.
-        winner: (..., cycles), which of the contending outputs was sent, 0..m-l-1.
+        winner: (..., cycles), which of the contending outputs was sent, 0..m-l-1; -1 where none
+            was received.
+        limit: (..., cycles), no loser's weighted squared change was larger than this.
     """
 
     values: np.ndarray
     held: np.ndarray
     winner: NDArray[np.int_]
+    limit: np.ndarray
 
 
 class LiftedCycle(NamedTuple):
@@ -57,7 +72,8 @@ class AugmentedCycle(NamedTuple):
         z+ = transition z + noise v,   ybar = output z + output_noise v
 
     candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
-    `winner` (...) of them was sent: its squared change times `weights` (m - l,) is the largest.
+    `winner` (...) of them was sent, -1 for none. Its squared change times `weights` (m - l,) is the
+    largest, up to `excess` (...), for a bus tells changes apart only so far.
     """
 
     transition: np.ndarray
@@ -68,57 +84,11 @@ class AugmentedCycle(NamedTuple):
     candidates_noise: np.ndarray
     weights: np.ndarray
     winner: NDArray[np.int_]
-
-
-def largest_change(values: np.ndarray, held: np.ndarray, weights: np.ndarray) -> NDArray[np.int_]:
-    """The winner (...) by (5): the largest weighted squared change, the first among equals."""
-    return np.argmax(weights * (values - held) ** 2, axis=-1)
-
-
-def transmit(
-    outputs: np.ndarray,
-    static_outputs: int,
-    weights: WeightsAtCycle,
-    select: Select = largest_change,
-) -> DeliveredValues:
-    """Send outputs (..., cycles (l + 1), m) over the bus; what is held begins at zero.
-
-    Args:
-        static_outputs: l, the outputs sent in turn, 0 to m; the others contend.
-        weights: step -> (m - l,), positive.
-        select: picks the winner, of values (..., m - l), held (..., m - l) and weights.
-
-    Raises:
-        ValueError: l does not fit the outputs, or the outputs do not fill whole cycles.
-    """
-    length, m = static_outputs + 1, outputs.shape[-1]
-    if not 0 <= static_outputs <= m:
-        raise ValueError(
-            f"{static_outputs} of {m} outputs sent in turn; take a number from 0 to {m}"
-        )
-    if outputs.shape[-2] % length:
-        raise ValueError(
-            f"{outputs.shape[-2]} steps do not fill cycles of {length}; simulate a multiple of it"
-        )
-    held = np.zeros((*outputs.shape[:-2], m - static_outputs))
-    values, before, winners = [], [], []
-    for first in range(0, outputs.shape[-2], length):
-        last = first + static_outputs
-        contending = outputs[..., last, static_outputs:]
-        winner = np.zeros(held.shape[:-1], dtype=int)
-        if held.shape[-1]:
-            winner = select(contending, held, weights(last))
-        sent = np.arange(m - static_outputs) == winner[..., None]
-        before.append(held)
-        winners.append(winner)
-        held = np.where(sent, contending, held)
-        turns = [outputs[..., first + output, output] for output in range(static_outputs)]
-        values.append(np.concatenate([np.stack(turns, -1), held], -1) if turns else held)
-    return DeliveredValues(np.stack(values, -2), np.stack(before, -2), np.stack(winners, -1))
+    excess: np.ndarray
 
 
 def lift(
-    system: BoundedSystem, static_outputs: int, weights: WeightsAtCycle, cycle: int
+    system: LinearBoundedSystem, static_outputs: int, weights: WeightsAtStep, cycle: int
 ) -> LiftedCycle:
     """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle."""
     length = static_outputs + 1
@@ -147,8 +117,11 @@ def lift(
     return LiftedCycle(lifted, lifted_noise, seen, seen_noise, weights(first + static_outputs))
 
 
-def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:
-    """(12) and (16) of a cycle in which `winner` (...) of the contending outputs was sent."""
+def augment(cycle: LiftedCycle, winner: NDArray[np.int_], excess: np.ndarray) -> AugmentedCycle:
+    """(12) and (16) of a cycle in which `winner` (...) of the contending outputs was sent.
+
+    `excess` (...): by how much a loser's weighted squared change may be larger than the winner's.
+    """
     span, n = cycle.states.shape
     m, contending = len(cycle.outputs), len(cycle.weights)
     static, size = m - contending, span + contending
@@ -172,5 +145,5 @@ def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:
     candidates[:, held] = -np.eye(contending)
     return AugmentedCycle(
         transition, noise, output, output_noise,
-        candidates, cycle.outputs_noise[static:], cycle.weights, np.asarray(winner),
+        candidates, cycle.outputs_noise[static:], cycle.weights, np.asarray(winner), excess,
     )  # fmt: skip
