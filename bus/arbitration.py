@@ -54,6 +54,15 @@ class Arbiter(NamedTuple):
     is_ideal: bool = True
 
 
+LosingBids = Callable[[Numbers], Numbers]
+"""Bids of winners (...) -> the largest bids that losers may have had."""
+
+
+def unclassed(bids: Numbers) -> Numbers:
+    """Return the bids: where the largest one wins, no loser's is larger."""
+    return bids
+
+
 def lowest_frame_id(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> Numbers:
     """Serve low frame IDs first, as minislots do; high ones can starve."""
     return frame_ids

@@ -11,11 +11,12 @@ protocol, equations (2) to (5), the plain rule; a test holds it against the matr
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from concord.bus.arbitration import LosingBids
 from concord.bus.schedule import Schedule
 
 RECEIVER = 0
@@ -28,6 +29,7 @@ BID_RESOLUTION = 2.0**-_FRACTION_BITS
 _DROPPED_BITS = 52 - _FRACTION_BITS
 _ONE = 1023 << _FRACTION_BITS
 _OCTAVES = 64
+_INFINITE = 2047 << _FRACTION_BITS
 _ROUNDING = 2.0**-48
 BID_SPAN = (_ONE - (_OCTAVES << _FRACTION_BITS), _ONE + (_OCTAVES << _FRACTION_BITS))
 """Bids of squared changes from 2^-64 to 2^64: equal steps between them are equal ratios."""
@@ -174,8 +176,23 @@ def largest_change(bids: np.ndarray) -> np.ndarray:
     A receiver that computes the winner's bid knows that the weighted squared change of no loser is
     larger. The bound covers the rounding of the sum in the bid. 0 for bids below 0.
     """
-    above = np.maximum(np.asarray(bids, dtype=np.int64) + 1, 0) << _DROPPED_BITS
+    above = np.clip(np.asarray(bids, dtype=np.int64) + 1, 0, _INFINITE) << _DROPPED_BITS
     return above.view(np.float64) * (1.0 + _ROUNDING)
+
+
+@runtime_checkable
+class AwardsByBid(Protocol):
+    """A bus (`concord.bus.bus.Bus`) that can tell what a winner's bid says of the others."""
+
+    @property
+    def losing_bids(self) -> LosingBids | None:
+        """The largest bids beside a winner's; None where slots are not awarded by bids."""
+        ...
+
+
+def losing_bids_of(bus: object) -> LosingBids | None:
+    """Return what a winner's bid on a bus says of the others; None where it says nothing."""
+    return bus.losing_bids if isinstance(bus, AwardsByBid) else None
 
 
 def flexray(sensors: int, static_slots: int, first: int = 1) -> Schedule:

@@ -59,7 +59,7 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
         scenario.rounds,
         scenario.steps,
         bus,
-        _estimator(setup, node, bus.schedule, Beginning(step, cycle)),
+        _estimator(setup, node, bus, Beginning(step, cycle)),
         link_state(setup),
         standing.first_step,
         standing.first_cycle,
@@ -81,7 +81,8 @@ def _rebuilt(
     if standing.settings:
         complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
-    if earlier is not None:
+    # The sensors of a measurement bus believe nothing that a node could begin with.
+    if earlier is not None and definition_of(changed.scenario).wiring is None:
         model = definition_of(changed.scenario).model(changed.scenario)
         belief = earlier.at_step(step - 1, model, filter_of(changed))
         changed = msgspec.structs.replace(
@@ -92,11 +93,11 @@ def _rebuilt(
     return dataclasses.replace(config, rebuild=partial(_rebuilt, setup, node))
 
 
-def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> AnyEstimator:
+def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> AnyEstimator:
     scenario = setup.scenario
     definition = definition_of(scenario)
     if definition.wiring is not None:
-        return definition.wiring.estimator(setup, node)
+        return definition.wiring.estimator(setup, node, bus, beginning.step)
     context = NodeContext(
         node,
         rule_context(setup),
@@ -105,7 +106,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         sensor=definition.sensor(scenario, node),
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
         filter=filter_of(setup),
-        everybody=partial(everybody_of, setup, schedule),
+        everybody=partial(everybody_of, setup, bus.schedule),
         beginning=beginning,
     )
     return build_estimator(scenario, context)

@@ -2,6 +2,7 @@
 
 from concord.scenarios.definitions import (
     control,
+    liu2021,
     liu2021_network,
     meng2025,
     meng2025_network,
@@ -25,6 +26,7 @@ _DEFINITIONS: dict[str, ScenarioDefinition] = {
     **control.DEFINITIONS,
     "meng2025": meng2025.DEFINITION,
     "meng2025-network": meng2025_network.DEFINITION,
+    "liu2021": liu2021.DEFINITION,
     "liu2021-network": liu2021_network.DEFINITION,
     "vehicle-network": vehicle_network.DEFINITION,
 }

@@ -117,7 +117,10 @@ def entry_of(choice: FilterBase) -> FilterEntry:
         ValueError: the filter belongs to the receiver of a measurement bus.
     """
     if type(choice) not in _FILTERS:
-        raise ValueError(f"--filter {choice.name}: it is for --scenario meng2025; leave it out")
+        raise ValueError(
+            f"--filter {choice.name}: it is for the receiver of a measurement bus, as --scenario "
+            "meng2025 or liu2021 has one; leave it out"
+        )
     return _FILTERS[type(choice)]
 
 

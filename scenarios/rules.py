@@ -48,6 +48,7 @@ from concord.scenarios.share_kinds import (
     ShareKind,
 )
 from concord.scenarios.types.buses import FullSchedule
+from concord.scenarios.types.filters import SetFilter
 from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
 from concord.scenarios.types.rules import (
     NumberRule,
@@ -111,8 +112,8 @@ def rule_of(scenario: Scenario) -> Rule:
         return _user_rule(scenario.rule.where)
     if isinstance(scenario.rule, Reception):
         raise ValueError(
-            "rule reception: one node estimates from a measurement bus, which only --scenario "
-            "meng2025 has; use that scenario, or another rule"
+            "rule reception: one node estimates from a measurement bus, which a scenario such as "
+            "meng2025 or liu2021 has; use one of these, or another rule"
         )
     if scenario.rule.name not in _RULES:
         raise unknown_name("rule", scenario.rule.name, _RULES)
@@ -129,7 +130,9 @@ def _user_rule(source: ValueSource) -> Rule:
 def is_set_valued(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
     # A receiver of a measurement bus has a rule that is not in the table.
-    return not isinstance(scenario.rule, Reception) and rule_of(scenario).set_valued
+    if isinstance(scenario.rule, Reception):
+        return isinstance(scenario.filter, SetFilter)
+    return rule_of(scenario).set_valued
 
 
 def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights") -> None:

@@ -5,11 +5,14 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.environment_state import Delivery
 from concord.nodes.estimator import AnyEstimator
+from concord.nodes.lanes.links import Links
+from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -72,14 +75,16 @@ class NetworkWiring(NamedTuple):
     Attributes:
         schedule: which nodes may publish in which cycle.
         share_bytes: length of a share.
-        estimator: that of a node.
+        estimator: (setup, node, bus, the step in which the node begins) -> that of the node.
+        batched: (setup, bus, links) -> all nodes of many runs.
         names: what the options rule, schedule and hold may be here.
         bid_span: least and largest bid, where nodes bid with logarithms; None otherwise.
     """
 
     schedule: Callable[[Scenario], Schedule]
     share_bytes: Callable[[Scenario], int]
-    estimator: Callable[[Setup, int], AnyEstimator]
+    estimator: Callable[[Setup, int, Bus, int], AnyEstimator]
+    batched: Callable[[Setup, Bus, Links], BatchedRule]
     names: dict[str, tuple[str, ...]]
     bid_span: tuple[int, int] | None = None
 

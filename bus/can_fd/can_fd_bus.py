@@ -5,7 +5,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import zip_longest
 
-from concord.bus.arbitration import Arbiter, largest_bid, lowest_frame_id
+from concord.bus.arbitration import Arbiter, LosingBids, largest_bid, lowest_frame_id
 from concord.bus.bus import Transmission
 from concord.bus.can_fd.bits import INTERMISSION_BITS, FrameBits, Rates, longest_bits
 from concord.bus.can_fd.frame import FRAMINGS
@@ -49,6 +49,11 @@ class CanFdBus(IdentifiedBus):
         if node in self.schedule.contenders(cycle):
             return self._layout.of_contender(node, self.classes.count)
         return range(0)
+
+    @property
+    def losing_bids(self) -> LosingBids | None:
+        """The largest bids that losers may have beside a winner's; None where bids do not count."""
+        return self.classes.largest if isinstance(self.classes, BidLevels) else None
 
     def frame_us(self, size: int) -> Fraction:
         """Return the longest time of a frame with so many data bytes, without intermission."""

@@ -14,6 +14,7 @@ from concord.bus.arbitration import Numbers
 _MOST_LEVELS = 2047
 # Bids beyond this are equally urgent.
 _OCTAVES = 52
+_LARGEST_BID = 2**53
 
 
 class Identifiers(NamedTuple):
@@ -83,3 +84,9 @@ class BidLevels:
     def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
         """Return the class of each bid (...)."""
         return self.count - 1 - np.searchsorted(self._borders, bids, side="right")
+
+    def largest(self, bids: Numbers) -> NDArray[np.int64]:
+        """Return the largest bid that has the class of each bid (...); -1 of a bid below 0."""
+        ends = np.append(self._borders - 1, _LARGEST_BID)
+        largest = ends[np.searchsorted(self._borders, bids, side="right")]
+        return np.where(np.asarray(bids) < 0, -1, largest)

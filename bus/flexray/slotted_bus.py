@@ -6,7 +6,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.arbitration import Arbiter, ArbiterState, Fits, award
+from concord.bus.arbitration import (
+    Arbiter,
+    ArbiterState,
+    Fits,
+    LosingBids,
+    award,
+    largest_bid,
+    unclassed,
+)
 from concord.bus.bus import Awards, Fragment, Rejected, SharePlace
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import (
@@ -123,6 +131,11 @@ class SlottedBus:
     def has_ideal_arbiter(self) -> bool:
         """Whether slots are awarded in an order that no controller knows."""
         return self._arbiter.is_ideal
+
+    @property
+    def losing_bids(self) -> LosingBids | None:
+        """The largest bids that losers may have beside a winner's; None where bids do not count."""
+        return unclassed if self._arbiter.urgency is largest_bid else None
 
     def arbitrate(
         self,

@@ -59,7 +59,7 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     largest = multiply(np.abs(cycle.candidates), reach)
     slack = rounding_bound(change.shape[-1]) * np.abs(cycle.weights) * largest**2
     winner = np.asarray(cycle.winner)[..., None]
-    count = len(cycle.weights)
+    count = cycle.weights.shape[-1]
     if count < 2:
         size = change.shape[-1]
         return np.zeros((*change.shape[:-2], 0, size, size))

@@ -1,7 +1,8 @@
 """The nodes of a measurement bus: sensors that share what they measure, a receiver that estimates.
 
-A step is one slot, so one communication cycle. At step 0 nothing has been measured and the belief
-is the prior. The sensors know what the receiver holds of them, because they know what they sent.
+A step is one slot, so one communication cycle. A sensor knows what it sent. No bus here tells it
+whether the receiver heard it, so where frames are lost the two hold different values of it: the
+sensor bids its change since it last sent, and the receiver holds what it last heard.
 """
 
 from collections.abc import Callable
@@ -12,63 +13,51 @@ import numpy as np
 
 from concord.bus.measurement_bus import bid
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.stochastic_ukf import (
-    Dynamics,
-    MeasurementFilter,
-    Observation,
-    Received,
-    SecondMoment,
-)
+from concord.filters.stochastic_ukf import Received
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.measurement_codec import MeasurementCodec
 
 
-class System(Protocol):
-    """Model of the plant for a filter behind a measurement bus (see
-    `concord.plants.stochastic`)."""
+class Receiver(Protocol):
+    """A filter behind a measurement bus; leading axes of its states are lanes.
+
+    `failure` is counted where an update leaves a belief that is not a number.
+    """
 
     @property
-    def sizes(self) -> tuple[int, ...]: ...
+    def sizes(self) -> tuple[int, ...]:
+        """Return the lengths m_1..m_N of the sensors' measurements."""
+        ...
 
     @property
-    def transition(self) -> Callable[[np.ndarray, np.ndarray | None, int], np.ndarray]: ...
+    def failure(self) -> str:
+        """Return the word that is counted where an update fails."""
+        ...
 
-    @property
-    def measure(self) -> Callable[[np.ndarray, int], np.ndarray]: ...
+    def start(self, lanes: tuple[int, ...] = ()) -> Any:
+        """Return the state at step 0, one of each lane."""
+        ...
 
-    @property
-    def process_noise_cov(self) -> Callable[[int], np.ndarray]: ...
+    def predict(self, state: Any, control: np.ndarray | None, step: int) -> Any:
+        """Return the state at `step`, of that at the step before under a control (..., p)."""
+        ...
 
-    @property
-    def measurement_noise_cov(self) -> Callable[[int], np.ndarray]: ...
+    def update(self, state: Any, received: Received, step: int) -> Any:
+        """Return the state after the slot of a step."""
+        ...
 
-    def process_moment(self, step: int) -> SecondMoment: ...
+    def belief(self, state: Any) -> Gaussian:
+        """Return the belief: mean (..., n), cov (..., n, n)."""
+        ...
 
-    def measurement_moment(self, step: int) -> SecondMoment: ...
-
-
-def dynamics(system: System, control: np.ndarray | None, step: int) -> Dynamics:
-    """Return the dynamics of the state from `step` to the next."""
-    return Dynamics(
-        lambda points: system.transition(points, control, step),
-        system.process_noise_cov(step),
-        system.process_moment(step),
-    )
-
-
-def observation(system: System, step: int) -> Observation:
-    """Return the observation of the sensors at `step`."""
-    return Observation(
-        lambda points: system.measure(points, step),
-        system.measurement_noise_cov(step),
-        system.measurement_moment(step),
-    )
+    def generators(self, state: Any) -> np.ndarray | None:
+        """Return the generators (n, q) of a zonotope; None of another belief."""
+        ...
 
 
 class SensorContent(NamedTuple):
-    """A sensor between two events: its reading (m_j,), what the receiver holds of it, and whether
-    the reading is on its way."""
+    """A sensor between two events: its reading (m_j,), what it takes the receiver to hold of it,
+    and whether the reading is on its way."""
 
     step: int
     reading: np.ndarray
@@ -80,15 +69,17 @@ class SensorContent(NamedTuple):
 class SensorNode:
     """The estimator of a sensor, which estimates nothing: its belief over `states` states is NaN.
 
-    `held` (m_j,) is what the receiver holds at first, `weight` (m_j, m_j) the Q_j of its bids.
+    `held` (m_j,) is what the receiver holds at first; `weight` gives the Q_j (m_j, m_j) of its bids
+    in a slot. The first slot is in step `first_slot`.
     """
 
     states: int
     neighbours: int
     held: np.ndarray
-    weight: np.ndarray
+    weight: Callable[[int], np.ndarray]
     silent: Callable[[np.ndarray], np.ndarray]
     codec: MeasurementCodec
+    first_slot: int
 
     @property
     def share_bytes(self) -> int:
@@ -108,7 +99,7 @@ class SensorNode:
 
     def bid(self, content: SensorContent) -> int | None:
         """The weighted change since the last transmission (`concord.bus.measurement_bus.bid`)."""
-        urgency = int(bid(content.reading - content.held, self.weight))
+        urgency = int(bid(content.reading - content.held, self.weight(content.step)))
         return None if urgency < 0 else urgency
 
     def compose(self, content: SensorContent) -> tuple[SensorContent, bytes]:
@@ -122,8 +113,8 @@ class SensorNode:
     def fuse(
         self, content: SensorContent, shares: tuple[np.ndarray | None, ...]
     ) -> tuple[SensorContent, tuple[str, ...]]:
-        """The slot is over: know what the receiver holds now."""
-        if content.step == 0:
+        """The slot is over: know what the receiver holds now, if it heard what was sent."""
+        if content.step < self.first_slot:
             return content, ()
         held = self.silent(content.held)
         if content.sent and not np.isnan(content.reading).any():
@@ -141,7 +132,7 @@ class SensorNode:
 
 
 class ReceiverContent(NamedTuple):
-    """The receiver between two events: the filter's state, ybar (m,), slots since each sensor."""
+    """The receiver between two events: its filter's state, ybar (m,), slots since each sensor."""
 
     step: int
     state: Any
@@ -151,15 +142,18 @@ class ReceiverContent(NamedTuple):
 
 @dataclass(frozen=True)
 class ReceiverNode:
-    """The estimator that hears the sensors; `received` (m,) is what it holds at first."""
+    """The estimator that hears the sensors; `received` (m,) is what it holds at first.
 
-    system: System
-    filter: MeasurementFilter
-    prior: Gaussian
-    points: SigmaPointRule
+    The first slot is in step `first_slot`. A receiver that begins at a later step than 0 has heard
+    nothing of the steps before.
+    """
+
+    receiver: Receiver
     received: np.ndarray
     silent: Callable[[np.ndarray], np.ndarray]
     codec: MeasurementCodec
+    first_slot: int
+    first_step: int = 0
 
     @property
     def share_bytes(self) -> int:
@@ -167,9 +161,12 @@ class ReceiverNode:
         return self.codec.size
 
     def start(self) -> ReceiverContent:
-        """The prior at step 0."""
-        state = self.filter.start(self.prior, observation(self.system, 0), self.points)
-        return ReceiverContent(0, state, self.received, np.full(len(self.system.sizes), -1))
+        """The prior, carried to the step before the first."""
+        state = self.receiver.start()
+        for step in range(1, self.first_step):
+            state = self.receiver.predict(state, None, step)
+        never = np.full(len(self.receiver.sizes), -1)
+        return ReceiverContent(max(self.first_step - 1, 0), state, self.received, never)
 
     def begin_step(
         self, content: ReceiverContent, measured: Measured
@@ -179,10 +176,8 @@ class ReceiverNode:
         if measured.step == 0:
             return content, ()
         control = None if measured.control is None else np.array(measured.control)
-        moved = self.filter.predict(
-            content.state, dynamics(self.system, control, measured.step - 1), self.points
-        )
-        return content._replace(state=moved), _trouble(content.state, moved, "predict-failed")
+        moved = self.receiver.predict(content.state, control, measured.step)
+        return content._replace(state=moved), self._trouble(content.state, moved, "predict-failed")
 
     def bid(self, content: ReceiverContent) -> int | None:
         """The receiver has nothing to send."""
@@ -200,30 +195,37 @@ class ReceiverNode:
         self, content: ReceiverContent, shares: tuple[np.ndarray | None, ...]
     ) -> tuple[ReceiverContent, tuple[str, ...]]:
         """Update with what came in this slot, one entry per sensor."""
-        if content.step == 0:
+        if content.step < self.first_slot:
             return content, ()
-        came = [_whole(share, size) for share, size in zip(shares, self.system.sizes, strict=True)]
+        came = [
+            _whole(share, size) for share, size in zip(shares, self.receiver.sizes, strict=True)
+        ]
         values = np.concatenate(came)
         fresh = ~np.isnan(values)
         received = np.where(fresh, values, self.silent(content.received))
         heard = ~np.isnan([measurement[0] for measurement in came])
-        state = self.filter.update(
-            content.state,
-            Received(received, fresh),
-            observation(self.system, content.step),
-            self.points,
-        )
+        state = self.receiver.update(content.state, Received(received, fresh), content.step)
         ages = np.where(heard, 0, np.where(content.ages < 0, -1, content.ages + 1))
-        failures = _trouble(content.state, state, "update-failed")
+        failures = self._trouble(content.state, state, self.receiver.failure)
         return content._replace(state=state, received=received, ages=ages), failures
 
     def belief(self, content: ReceiverContent) -> Gaussian:
         """Return the belief of the filter."""
-        return content.state.belief
+        return self.receiver.belief(content.state)
+
+    def generators(self, content: ReceiverContent) -> np.ndarray | None:
+        """Return the generators (n, q) of a zonotope; None of another belief."""
+        return self.receiver.generators(content.state)
 
     def ages(self, content: ReceiverContent) -> np.ndarray:
         """Slots since each sensor was heard; -1 never."""
         return content.ages
+
+    def _trouble(self, before: Any, after: Any, name: str) -> tuple[str, ...]:
+        """The name, where a belief has just stopped being a number."""
+        covs = (self.receiver.belief(state).cov for state in (after, before))
+        is_finite, was_finite = (bool(np.isfinite(cov).all()) for cov in covs)
+        return (name,) if was_finite and not is_finite else ()
 
 
 def _whole(share: np.ndarray | None, size: int) -> np.ndarray:
@@ -231,9 +233,3 @@ def _whole(share: np.ndarray | None, size: int) -> np.ndarray:
     if share is None or np.isnan(share[:size]).any():
         return np.full(size, np.nan)
     return share[:size]
-
-
-def _trouble(before: Any, after: Any, name: str) -> tuple[str, ...]:
-    """The name, where a belief has just stopped being a number."""
-    failed = not np.isfinite(after.belief.cov).all() and np.isfinite(before.belief.cov).all()
-    return (name,) if failed else ()

@@ -20,6 +20,7 @@ from concord.bus.measurement_bus import (
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from concord.nodes.rules.gaussian_receiver import GaussianReceiver
 from concord.papers.kit.plant_runs import plant_runs
 from concord.papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
@@ -31,7 +32,6 @@ from concord.papers.meng2025.filter_as_printed import (
 from concord.plants import meng2025
 from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.scenarios.definitions.measurement_runs import (
-    BusFilter,
     estimate,
     first_received,
     slots_of,
@@ -136,9 +136,17 @@ def carry_out(batch: MeasuredBatch, method: ComparedMethod) -> SlotEstimates:
     """One row of the comparison."""
     slots = transmit(batch, method.schedule)
     points = paper_points(method.alpha)
-    estimator = BusFilter(method.system, method.filter, points, prior_of(batch.runs))
-    beliefs = estimate(estimator, Received(slots.received, slots.fresh))
+    receiver = GaussianReceiver(method.system, method.filter, points, prior_of(batch.runs))
+    beliefs = estimate(receiver, from_step_0(slots))
     return SlotEstimates(*beliefs, slots.sent)
+
+
+def from_step_0(slots: SlotOutcome) -> Received:
+    """Slots 1, 2, ... as those of the steps 0, 1, ...; in step 0 nothing is received."""
+    nothing = np.zeros_like(slots.received[:1]), np.zeros_like(slots.fresh[:1])
+    return Received(
+        np.concatenate([nothing[0], slots.received]), np.concatenate([nothing[1], slots.fresh])
+    )
 
 
 def ranks_of_printed_cov(batch: MeasuredBatch) -> np.ndarray:

@@ -10,7 +10,7 @@ from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
-from concord.nodes.commands import Configure, Inject
+from concord.nodes.commands import Configure, Inject, Restart
 from concord.nodes.faults.losses import LinkState, hears_all
 from concord.nodes.lanes.links import Links, Shares, links_of, places
 from concord.nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
@@ -39,10 +39,11 @@ from concord.scenarios.setup import Setup
 def without_array_form(scenario: Scenario) -> str | None:
     """Return the part of a scenario that can only run message by message; None if none."""
     definition = definition_of(scenario)
-    if definition.wiring is not None:
-        return f"scenario {scenario.name}"
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
+    if definition.wiring is not None:
+        is_back = any(isinstance(one.command, Restart) for one in script_of(scenario))
+        return "restarts on a measurement bus (--changes)" if is_back else None
     for held in (scenario, *_set_in(scenario)):
         rule = rule_of(held)
         if (lacking := rule.lacking(held)) is not None:
@@ -136,7 +137,12 @@ def _segments(
 
 def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> RunSettings:
     """Rule and bus of a setup whose settings are those that stand."""
-    rule = rule_of(setup.scenario)
+    wiring = definition_of(setup.scenario).wiring
+    rule = (
+        rule_of(setup.scenario).batched(_batch_context(setup, bus, links, standing))
+        if wiring is None
+        else wiring.batched(setup, bus, links)
+    )
     return RunSettings(
         standing.first_step,
         standing.first_cycle,
@@ -145,7 +151,7 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
         partial(_contest, setup, bus),
         begin_arbitration(setup.scenario.nodes, (runs,)),
         partial(framed, setup, bus),
-        rule.batched(_batch_context(setup, bus, links, standing)),
+        rule,
     )
 
 

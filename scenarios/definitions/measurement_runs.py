@@ -4,28 +4,14 @@ The same functions as in `concord.nodes.rules.measurement_bus`, so a lane here a
 nodes agree.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from concord.bus.measurement_bus import MeasurementBus, SlotOutcome, bid, flexray, largest_change
 from concord.filters.gaussian import Gaussian
 from concord.filters.sets.lifted_cycle import DeliveredValues, WeightsAtStep
-from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.stochastic_ukf import MeasurementFilter, Received
-from concord.nodes.rules.measurement_bus import System, dynamics, observation
-
-
-class BusFilter(NamedTuple):
-    """A filter behind a measurement bus: what it knows, how it computes, where it starts.
-
-    prior: mean (..., n), cov (..., n, n) at step 0.
-    """
-
-    system: System
-    filter: MeasurementFilter
-    points: SigmaPointRule
-    prior: Gaussian
+from concord.filters.stochastic_ukf import Received
+from concord.nodes.rules.gaussian_receiver import System
+from concord.nodes.rules.measurement_bus import Receiver
 
 
 def first_received(system: System, prior_mean: np.ndarray) -> np.ndarray:
@@ -33,13 +19,15 @@ def first_received(system: System, prior_mean: np.ndarray) -> np.ndarray:
     return system.measure(prior_mean, 0)
 
 
-def slots_of(bus: MeasurementBus, measurement: np.ndarray, received: np.ndarray) -> SlotOutcome:
-    """Return the receiver's slots 1..S for measurements (S + 1, ..., m), stacked: S first.
+def slots_of(
+    bus: MeasurementBus, measurement: np.ndarray, received: np.ndarray, first: int = 1
+) -> SlotOutcome:
+    """Return the receiver's slots from `first` on for measurements (steps, ..., m), stacked.
 
-    The first measurement, at step 0, is not looked at; `received` (..., m) is ybar_0.
+    Measurements before that are not looked at; `received` (..., m) is what is held at first.
     """
     slots: list[SlotOutcome] = []
-    for number, measured in enumerate(measurement[1:], start=1):
+    for number, measured in enumerate(measurement[first:], start=first):
         slots.append(bus.transmit(number, measured, received))
         received = slots[-1].received
     return SlotOutcome(*(np.stack(parts) for parts in zip(*slots, strict=True)))
@@ -91,16 +79,19 @@ def delivered(bus: MeasurementBus, static_outputs: int, outputs: np.ndarray) -> 
     return DeliveredValues(np.stack(values, -2), np.stack(before, -2), winner, limit)
 
 
-def estimate(estimator: BusFilter, received: Received) -> Gaussian:
-    """Beliefs at steps 0..S, mean (S + 1, ..., n) and cov (S + 1, ..., n, n), of what was received
-    in slots 1..S, values and fresh (S, ..., m)."""
-    system, method, points, prior = estimator
-    state = method.start(prior, observation(system, 0), points)
-    beliefs = [state.belief]
-    for step, slot in enumerate(zip(*received, strict=True), start=1):
-        state = method.predict(state, dynamics(system, None, step - 1), points)
-        state = method.update(state, Received(*slot), observation(system, step), points)
-        beliefs.append(state.belief)
+def estimate(receiver: Receiver, received: Received, first_slot: int = 1) -> Gaussian:
+    """Beliefs after the slot of each step, mean (S, ..., n) and cov (S, ..., n, n).
+
+    `received` has values and fresh (S, ..., m) of the steps 0..S - 1, from `first_slot` on.
+    """
+    state = receiver.start(received.values.shape[1:-1])
+    beliefs: list[Gaussian] = []
+    for step, slot in enumerate(zip(*received, strict=True)):
+        if step > 0:
+            state = receiver.predict(state, None, step)
+        if step >= first_slot:
+            state = receiver.update(state, Received(*slot), step)
+        beliefs.append(receiver.belief(state))
     return Gaussian(
         np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])
     )

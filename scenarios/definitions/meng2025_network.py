@@ -15,9 +15,9 @@ from concord.nodes.environment_state import Delivery
 from concord.plants import meng2025
 from concord.plants.sensed import SensedPlant, clusters
 from concord.scenarios.definitions.measurement_runs import first_received
-from concord.scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
+from concord.scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points
 from concord.scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import StochasticNetwork
@@ -44,13 +44,21 @@ def _transmit(
 
 
 def _delivery(scenario: Scenario) -> Delivery:
-    bus = MeasurementBus(SYSTEM.sizes, flexray(SENSORS, static_slots_of(scenario)))
+    bus = MeasurementBus(SYSTEM.sizes, flexray(SENSORS, _static_slots(scenario)))
     received = np.tile(first_received(SYSTEM, meng2025.PRIOR_MEAN), (scenario.nodes, 1))
     return Delivery(partial(_transmit, bus), received)
 
 
+def _static_slots(scenario: Scenario) -> int:
+    assert isinstance(scenario.plant, StochasticNetwork), "the catalogue chose this file"
+    slots = scenario.plant.static_slots
+    rule = f"in 0..{SENSORS - 1}: at least one of {SENSORS} sensors contends for the dynamic slot"
+    require(0 <= slots < SENSORS, "static-slots", slots, rule)
+    return slots
+
+
 def _check(scenario: Scenario) -> None:
-    static_slots_of(scenario)
+    _static_slots(scenario)
 
 
 DEFINITION = ScenarioDefinition(

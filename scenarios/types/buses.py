@@ -80,6 +80,10 @@ class WrittenSchedule(BusSchedule, frozen=True, kw_only=True, tag="written"):
 class SensorSlots(BusSchedule, frozen=True, kw_only=True, tag="flexray"):
     """Some sensors of a measurement bus own a slot each, the others contend for one (meng2025)."""
 
+    static_slots: Annotated[
+        int, Option("Sensors of a measurement bus that own a slot each.", at_least=0)
+    ] = 4
+
 
 class SilentSchedule(BusSchedule, frozen=True, kw_only=True, tag="none"):
     """No sensor of a measurement bus ever sends (meng2025)."""

@@ -1,6 +1,6 @@
 """Filters as values: how a node computes its estimate from readings, with the filter's options."""
 
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 from concord.filters.filter import Filter
 from concord.scenarios.types.option import USER, Choice, Option, name_of
@@ -107,6 +107,35 @@ class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
 
+class SetFilter(FilterBase, frozen=True, kw_only=True):
+    """Sets that hold the truth for certain, at the receiver of a measurement bus."""
+
+    losers: Annotated[
+        bool,
+        Option("Cut the set by what the losers of a contention cannot have measured; valid while "
+               "every contender asks for every slot."),
+    ] = True  # fmt: skip
+
+
+class EllipsoidReceiver(SetFilter, frozen=True, kw_only=True, tag="ellipsoid"):
+    """Ellipsoids behind a measurement bus that hold the truth for certain; needs bounded noise."""
+
+    method: Annotated[
+        Literal["tight", "fast-rate", "fast", "paper"],
+        Option("How ellipsoids are found: tight (cut by the data once a cycle), fast-rate (in "
+               "every step), paper (Liu et al. 2021, by a semidefinite programme), fast (its "
+               "closed form)."),
+    ] = "tight"  # fmt: skip
+
+
+class ZonotopeReceiver(SetFilter, frozen=True, kw_only=True, tag="zonotope"):
+    """Zonotopes behind a measurement bus that hold the truth for certain; needs bounded noise."""
+
+    generators: Annotated[
+        int, Option("Generators that a zonotope keeps.", at_least=2, at_most=1000)
+    ] = 30
+
+
 class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
     """A filter of your own, from a Python file: an object with `predict` and `update`."""
 
@@ -139,10 +168,12 @@ FilterChoice = (
     | FuzzyUnscented
     | AdaptiveDualLayer
     | RecommendedFilter
+    | EllipsoidReceiver
+    | ZonotopeReceiver
     | UserFilter
 )
 FILTER_SUMMARIES = {
     name_of(one): one.summary()
     for one in get_args(FilterChoice)
-    if one not in (RecommendedFilter, UserFilter)
+    if one not in (RecommendedFilter, EllipsoidReceiver, ZonotopeReceiver, UserFilter)
 }

@@ -25,6 +25,7 @@ NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
 CHANNELS = Literal["all", "A", "B", "split", "mixed"]
 IDENTIFIERS = Literal["base", "extended"]
+METHOD = Literal["tight", "fast-rate", "fast", "paper"]
 
 
 class ScenarioOptions(TypedDict, total=False):
@@ -60,6 +61,7 @@ class ScenarioOptions(TypedDict, total=False):
     relay: bool
     latch_delay_us: float
     smooth_steps: int
+    bid_weights: str
     rounds: int
     bus: FUNCTION
     stretch: float
@@ -84,6 +86,9 @@ class ScenarioOptions(TypedDict, total=False):
     forgetting: float
     outlier_limit: float
     innovations: int
+    losers: bool
+    method: METHOD
+    generators: int
     steps: int
     seed: int
     run: int
@@ -123,6 +128,7 @@ class SweptOptions(TypedDict, total=False):
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
     smooth_steps: Sequence[int] | np.ndarray | int
+    bid_weights: Sequence[str] | np.ndarray | str
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
     stretch: Sequence[float] | np.ndarray | float
@@ -147,6 +153,9 @@ class SweptOptions(TypedDict, total=False):
     forgetting: Sequence[float] | np.ndarray | float
     outlier_limit: Sequence[float] | np.ndarray | float
     innovations: Sequence[int] | np.ndarray | int
+    losers: Sequence[bool] | np.ndarray | bool
+    method: Sequence[METHOD] | np.ndarray | METHOD
+    generators: Sequence[int] | np.ndarray | int
     steps: Sequence[int] | np.ndarray | int
     seed: Sequence[int] | np.ndarray | int
     run: Sequence[int] | np.ndarray | int

@@ -79,21 +79,26 @@ class UnstableBounded(ControlledPlant, frozen=True, kw_only=True, tag="liu2021-n
     """An unstable plant under bounded noise, for sets that hold the truth for certain."""
 
 
-class MeasuredPlantChoice(SensedPlantChoice, frozen=True, kw_only=True):
-    """A plant whose sensors reach their estimators over a measurement bus."""
-
-    static_slots: Annotated[
-        int,
-        Option("Sensors with a static slot of their own on a measurement bus.", at_least=0),
-    ] = 4
-
-
-class StochasticReceiver(MeasuredPlantChoice, frozen=True, kw_only=True, tag="meng2025"):
+class StochasticReceiver(SensedPlantChoice, frozen=True, kw_only=True, tag="meng2025"):
     """Six sensors share one slot per step to an estimator (Meng et al. 2025)."""
 
 
-class StochasticNetwork(MeasuredPlantChoice, frozen=True, kw_only=True, tag="meng2025-network"):
+class StochasticNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="meng2025-network"):
     """A network of estimators as in meng2025, each behind a measurement bus of its own."""
+
+    static_slots: Annotated[
+        int, Option("Sensors of a measurement bus that own a slot each.", at_least=0)
+    ] = 4
+
+
+class BoundedReceiver(SensedPlantChoice, frozen=True, kw_only=True, tag="liu2021"):
+    """Four sensors of an unstable plant under bounded noise share a slot (Liu et al. 2021)."""
+
+    noise: Annotated[
+        Literal["matched", "paper"],
+        Option("Noise of the plant: matched (on its bound, as sets must expect) or paper (as "
+               "printed)."),
+    ] = "matched"  # fmt: skip
 
 
 class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-network"):
@@ -141,6 +146,7 @@ PlantChoice = (
     | MotorPosition
     | StochasticReceiver
     | StochasticNetwork
+    | BoundedReceiver
     | UnstableBounded
     | VehicleNetwork
     | UserPlant

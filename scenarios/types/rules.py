@@ -158,9 +158,14 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
 
 
 class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
-    """One node estimates what the others send over a measurement bus (meng2025)."""
+    """One node estimates what the others send over a measurement bus (meng2025, liu2021)."""
 
     hold: Annotated[SensorHold, HOLD] = ZeroOrder()
+    bid_weights: Annotated[
+        str,
+        Option('Weights of the sensors\' bids, "1 1 2 1"; several rows, apart by ";", take turns '
+               "step by step. Those of the scenario when left out."),
+    ] = ""  # fmt: skip
 
 
 class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):

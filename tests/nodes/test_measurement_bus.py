@@ -9,6 +9,7 @@ from concord.filters.sigma_points import scaled_unscented
 from concord.filters.stochastic_ukf import RECOMMENDED
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import Measured
+from concord.nodes.rules.gaussian_receiver import GaussianReceiver
 from concord.nodes.rules.measurement_bus import ReceiverNode, SensorNode
 from concord.nodes.rules.measurement_codec import MeasurementCodec
 from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
@@ -28,13 +29,15 @@ PRIOR = Gaussian(np.array([1.0, -1.0]), np.eye(2))
 
 def sensor(silent=zero_order_hold, number: str = "<f8") -> SensorNode:
     held = np.array([1.0, -1.0])
-    return SensorNode(2, 1, held, np.diag([1.0, 4.0]), silent, MeasurementCodec(2, number))
+    weight = np.diag([1.0, 4.0])
+    return SensorNode(2, 1, held, lambda _: weight, silent, MeasurementCodec(2, number), 1)
 
 
 def receiver(method=RECOMMENDED, prior: Gaussian = PRIOR) -> ReceiverNode:
     held = SYSTEM.measure(PRIOR.mean, 0)
     points = scaled_unscented(2)
-    return ReceiverNode(SYSTEM, method, prior, points, held, zero_order_hold, MeasurementCodec(2))
+    own = GaussianReceiver(SYSTEM, method, points, prior)
+    return ReceiverNode(own, held, zero_order_hold, MeasurementCodec(2), first_slot=1)
 
 
 def measured(step: int, *values: float | None) -> Measured:

@@ -5,22 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.bus.measurement_bus import MeasurementBus
 from concord.experiments.results.summary import summarise
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
-from concord.filters.stochastic_ukf import Received
+from concord.papers.meng2025.runs import from_step_0
 from concord.plants import meng2025
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.build import build_bus
-from concord.scenarios.definitions.measurement_runs import (
-    BusFilter,
-    estimate,
-    first_received,
-    slots_of,
-)
-from concord.scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
+from concord.scenarios.definitions.measured import bus_of, receiver_of
+from concord.scenarios.definitions.measurement_runs import estimate, first_received, slots_of
+from concord.scenarios.definitions.meng2025 import SYSTEM, plant_on_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -47,12 +42,12 @@ def network(**changes) -> Setup:
 def as_arrays(setup: Setup, trace: Trace) -> tuple[Gaussian, np.ndarray]:
     """The same bus and filter over all steps at once: beliefs (steps,), senders (steps, N)."""
     asked: Scenario = setup.scenario
-    bus: MeasurementBus = bus_of(asked)
+    bus = bus_of(plant_on_bus(), asked)
     received = first_received(SYSTEM, meng2025.PRIOR_MEAN)
     slots = slots_of(bus, trace.readings[:, 1:, 0, 0], received)
     prior = Gaussian(meng2025.PRIOR_MEAN, meng2025.PRIOR_COV)
-    estimator = BusFilter(SYSTEM, FILTERS[asked.filter.name], paper_points(), prior)
-    return estimate(estimator, Received(slots.received, slots.fresh)), slots.sent
+    receiver = receiver_of(plant_on_bus(), asked, prior, None)
+    return estimate(receiver, from_step_0(slots)), slots.sent
 
 
 # --- the star ------------------------------------------------------------------------------------
@@ -75,6 +70,8 @@ def test_the_first_cycles():
         {"hold": "zero-input", "schedule": "dynamic", "arbiter": "wtod"},
         {"schedule": "round-robin"},
         {"schedule": "full", "run": 3},
+        {"filter": "ekf", "bid_weights": "1 1 1 1 9 1; 1 1 1 1 1 9"},
+        {"filter": "concord.papers.meng2025.filter_as_printed:PAPER_LITERAL"},
     ],
     ids=str,
 )
@@ -142,7 +139,9 @@ def test_short_numbers_on_the_wire_and_frames_that_get_lost():
         ({"schedule": "dynamic", "trigger": 1.0}, "--trigger 1.0: must be 0"),
         ({"static_slots": 6}, "--static-slots 6: must be in 0..5"),
         ({"rule": "wac", "hold": "decayed"}, "unknown rule for a measurement bus 'wac'.*reception"),
-        ({"filter": "ukf"}, "unknown filter for a measurement bus 'ukf'.*recommended"),
+        ({"filter": "ellipsoid"}, "--filter ellipsoid: the noise of meng2025 has no bound"),
+        ({"bid_weights": "1 1 1"}, "--bid-weights '1 1 1': must be 6 positive numbers"),
+        ({"bid_weights": "1 1 1 1 1 0"}, "must be 6 positive numbers"),
         ({"schedule": "hybrid"}, "unknown schedule for a measurement bus"),
         ({"hold": "decayed"}, "unknown hold 'decayed'.*zero-order"),
     ],
