@@ -26,14 +26,21 @@ if TYPE_CHECKING:
     from concord.experiments.python_api import scenario as scenario
     from concord.experiments.python_api import simulate as simulate
     from concord.experiments.python_api import sweep as sweep
+    from concord.plants.bounded_plant import BoundedPlant as BoundedPlant
+    from concord.plants.bounded_plant import BoundedSensor as BoundedSensor
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
     from concord.plants.own_plant import from_control as from_control
     from concord.scenarios.definitions.own import own_scenario as own_scenario
+    from concord.scenarios.definitions.own_measured import (
+        on_a_measurement_bus as on_a_measurement_bus,
+    )
     from concord.scenarios.scenario import Scenario as Scenario
     from concord.scenarios.types import buses as buses
     from concord.scenarios.types import holds as holds
     from concord.scenarios.types import rules as rules
+    from concord.scenarios.types.filters import EllipsoidReceiver as EllipsoidReceiver
+    from concord.scenarios.types.filters import ZonotopeReceiver as ZonotopeReceiver
 
 _API = "concord.experiments.python_api"
 _OWN = "concord.plants.own_plant"
@@ -43,6 +50,9 @@ _HOMES = {
     **dict.fromkeys(("agree", "compare", "design", "launch", "load", "plots"), _API),
     **dict.fromkeys(("scenario", "simulate", "sweep"), _API),
     **dict.fromkeys(("OwnPlant", "OwnSensor", "from_control"), _OWN),
+    **dict.fromkeys(("BoundedPlant", "BoundedSensor"), "concord.plants.bounded_plant"),
+    **dict.fromkeys(("EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"),
+    "on_a_measurement_bus": "concord.scenarios.definitions.own_measured",
     "own_scenario": "concord.scenarios.definitions.own",
     "Scenario": "concord.scenarios.scenario",
     **dict.fromkeys(("buses", "holds", "rules"), _TYPES),

@@ -61,17 +61,17 @@ class OwnPlant:
     @cached_property
     def prior_mean(self) -> np.ndarray:
         """Mean (n,) of the first state."""
-        return _vector("mean", self.mean)
+        return vector_of("mean", self.mean)
 
     @cached_property
     def prior_cov(self) -> np.ndarray:
         """Covariance (n, n) of the first state."""
-        return _covariance("cov", self.cov, self.states)
+        return covariance_of("cov", self.cov, self.states)
 
     @cached_property
     def noise_cov(self) -> np.ndarray:
         """Covariance (n, n) of the process noise."""
-        return _covariance("Q", self.Q, self.states)
+        return covariance_of("Q", self.Q, self.states)
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., n) one step later, without noise."""
@@ -115,7 +115,7 @@ class OwnSensor:
     @cached_property
     def noise_cov(self) -> np.ndarray:
         """Covariance (m, m) of the noise."""
-        return _covariance("R", self.R, np.atleast_1d(np.asarray(self.R)).shape[0])
+        return covariance_of("R", self.R, np.atleast_1d(np.asarray(self.R)).shape[0])
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Readings (..., m) of states (..., n), without noise."""
@@ -241,14 +241,16 @@ def _require_lanes(name: str, function: Function, mean: np.ndarray, entries: int
             )
 
 
-def _vector(name: str, given: ArrayLike) -> np.ndarray:
+def vector_of(name: str, given: ArrayLike) -> np.ndarray:
+    """Return a vector (n,) of finite numbers; `name` is that of the argument in messages."""
     vector = np.atleast_1d(np.asarray(given, dtype=float))
     if vector.ndim != 1 or not np.isfinite(vector).all():
         raise ValueError(f"{name} {given}: must be a vector of finite numbers")
     return vector
 
 
-def _covariance(name: str, given: ArrayLike, size: int) -> np.ndarray:
+def covariance_of(name: str, given: ArrayLike, size: int) -> np.ndarray:
+    """Return a covariance (size, size) of a matrix or its diagonal; `name` as in `vector_of`."""
     matrix = np.asarray(given, dtype=float)
     if matrix.ndim < 2:
         matrix = np.diag(np.atleast_1d(matrix))

@@ -13,10 +13,10 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.lanes import join_entries
 from concord.filters.linalg import multiply
-from concord.filters.sets.cycle import CycleResult
 from concord.filters.sets.ellipsoid import Ellipsoid, from_shape, image, moved
 from concord.filters.sets.evidence import BoundedMotion, Readings, bus_evidence
-from concord.filters.sets.lifted_cycle import AugmentedCycle, LiftedCycle, augment, lift
+from concord.filters.sets.histories import CycleStep, augmented_prior
+from concord.filters.sets.lifted_cycle import LiftedCycle, augment, lift
 from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.stochastic_ukf import Received
 from concord.nodes.rules.set_receivers import (
@@ -29,8 +29,6 @@ from concord.nodes.rules.set_receivers import (
     told_only,
 )
 from concord.nodes.rules.set_shapes import Ellipsoids
-
-CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
 
 
 class ReceivedCycle(NamedTuple):
@@ -206,23 +204,3 @@ class CyclewiseReceiver:
         return moved(
             now, multiply(transition, now.centre), transition, system.scaled_noise_input(step)
         )
-
-
-def augmented_prior(
-    state: Ellipsoid, held: np.ndarray, steps: int, held_half_width: float
-) -> Ellipsoid:
-    """The ellipsoid of (x in the steps before, held) at first: one block for each of the steps.
-
-    Args:
-        state: (..., n), of the first state; blocks of states before it never matter.
-        held: (..., c), the values held, about which the ellipsoid has this half-width.
-    """
-    n, r = state.factor.shape[-2:]
-    count = held.shape[-1]
-    lanes = state.centre.shape[:-1]
-    factor = np.zeros((*lanes, steps * n + count, steps * r + count))
-    for block in range(steps):
-        rows, columns = slice(block * n, (block + 1) * n), slice(block * r, (block + 1) * r)
-        factor[..., rows, columns] = state.factor
-    factor[..., steps * n :, steps * r :] = held_half_width * np.eye(count)
-    return Ellipsoid(join_entries(*(state.centre,) * steps, held), factor)

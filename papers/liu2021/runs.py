@@ -1,35 +1,29 @@
 """Noise sequences of the set-membership example, and every estimator on all of them at once."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from concord.bus.measurement_bus import MeasurementBus
-from concord.filters.sets import zonotope
+from concord.filters.sets import histories, zonotope
 from concord.filters.sets.bus_readings import (
     MeasuredPlant,
-    augmented,
-    cycle_evidence,
-    step_evidence,
 )
 from concord.filters.sets.closed_form import closed_form_step
-from concord.filters.sets.cycle import CycleResult
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     half_widths,
-    image,
     shape_matrix,
     squared_radius,
 )
+from concord.filters.sets.histories import CycleStep
 from concord.filters.sets.lifted_cycle import (
     AugmentedCycle,
     DeliveredValues,
 )
 from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
 from concord.filters.sets.zonotope import Zonotope
-from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.plants import liu2021
 from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
 
@@ -56,9 +50,9 @@ class SequenceBatch(NamedTuple):
         """How many communication cycles."""
         return self.received.values.shape[-2]
 
-    def block(self, cycle: int) -> np.ndarray:
+    def block(self, cycle: int, g: int = G) -> np.ndarray:
         """States (R, g n) in the g steps of a cycle, those that the paper's estimate is of."""
-        steps = self.states[:, cycle * G + 1 : (cycle + 1) * G + 1]
+        steps = self.states[:, cycle * g + 1 : (cycle + 1) * g + 1]
         return steps.reshape(self.sequences, -1)
 
 
@@ -125,25 +119,27 @@ _NOISES = (_uniform, _ends, _square, _sinusoid)
 
 # --- the estimators ------------------------------------------------------------------------------
 
-CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
-
 
 def by_cycle(
     step: CycleStep,
     batch: SequenceBatch,
     see: Callable[[AugmentedCycle], AugmentedCycle] = lambda cycle: cycle,
+    plant: MeasuredPlant = PLANT,
 ) -> BoundedEstimates:
     """The paper's estimator, exact or fast, on the augmented state; `see` may falsify a cycle."""
-    size = G * N + HELD
-    kept = Ellipsoid(np.zeros((batch.sequences, size)), _identity(batch.sequences, size))
-    sets = []
-    for cycle in range(batch.cycles):
-        model = see(augmented(PLANT, batch.received, cycle))
-        kept = step(kept, model, batch.received.values[:, cycle]).after
-        sets.append(kept)
-    held = batch.received.values[:, :, liu2021.STATIC_OUTPUTS :]
-    truths = [np.hstack([batch.block(cycle), held[:, cycle]]) for cycle in range(batch.cycles)]
-    return _of_ellipsoids(sets, truths, last=slice((G - 1) * N, G * N), per_cycle=True)
+    first = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N))
+    sets = histories.by_cycle(step, plant, batch.received, first, see)
+    return of_augmented(sets, batch, plant)
+
+
+def of_augmented(
+    sets: list[Ellipsoid], batch: SequenceBatch, plant: MeasuredPlant = PLANT
+) -> BoundedEstimates:
+    """The figures of sets of the augmented state."""
+    g = plant.length
+    held = batch.received.values[:, :, plant.static_outputs :]
+    truths = [np.hstack([batch.block(k, g), held[:, k]]) for k in range(batch.cycles)]
+    return _of_ellipsoids(sets, truths, last=slice((g - 1) * N, g * N), spacing=g)
 
 
 def paper(batch: SequenceBatch) -> BoundedEstimates:
@@ -156,35 +152,24 @@ def fast(batch: SequenceBatch) -> BoundedEstimates:
     return by_cycle(closed_form_step, batch)
 
 
-def tight(batch: SequenceBatch) -> BoundedEstimates:
+def tight(batch: SequenceBatch, plant: MeasuredPlant = PLANT) -> BoundedEstimates:
     """Conditioned on the data, cycle by cycle."""
-    last = np.eye(G * N)[(G - 1) * N :]
-    kept, sets = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N)), []
-    for cycle in range(batch.cycles):
-        sets.append(conditioned_step(kept, cycle_evidence(PLANT, batch.received, cycle)))
-        kept = image(sets[-1], last)
-    truths = [batch.block(cycle) for cycle in range(batch.cycles)]
-    return _of_ellipsoids(sets, truths, last=slice((G - 1) * N, G * N), per_cycle=True)
+    g = plant.length
+    truths = [batch.block(cycle, g) for cycle in range(batch.cycles)]
+    last = slice((g - 1) * N, g * N)
+    return _of_ellipsoids(_ellipsoids(batch, "tight", plant), truths, last, spacing=g)
 
 
 def fast_rate(batch: SequenceBatch) -> BoundedEstimates:
     """Conditioned on the data, step by step."""
-    kept, sets = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N)), []
-    for cycle in range(batch.cycles):
-        sets += step_by_step(kept, step_evidence(PLANT, batch.received, cycle))
-        kept = sets[-1]
+    sets = _ellipsoids(batch, "fast-rate", PLANT)
     truths = [batch.states[:, step + 1] for step in range(len(sets))]
-    return _of_ellipsoids(sets, truths, last=slice(0, N), per_cycle=False)
+    return _of_ellipsoids(sets, truths, last=slice(0, N), spacing=1)
 
 
 def zonotopes(batch: SequenceBatch) -> BoundedEstimates:
     """The zonotope filter, step by step."""
-    kept = Zonotope(np.zeros((batch.sequences, N)), _identity(batch.sequences, N))
-    sets = []
-    for cycle in range(batch.cycles):
-        for evidence in step_evidence(PLANT, batch.received, cycle):
-            kept = zonotope_step(kept, evidence)
-            sets.append(kept)
+    sets = cast(list[Zonotope], _sets(batch, "zonotope", PLANT))
     radius = np.array([_gauges(one, batch.states[:, k + 1]) ** 2 for k, one in enumerate(sets)])
     return BoundedEstimates(
         np.arange(1, len(sets) + 1),
@@ -194,6 +179,16 @@ def zonotopes(batch: SequenceBatch) -> BoundedEstimates:
         np.array([zonotope.half_widths(one) for one in sets]),
         sets,
     )
+
+
+def _sets(
+    batch: SequenceBatch, method: str, plant: MeasuredPlant
+) -> list[Ellipsoid] | list[Zonotope]:
+    return histories.sets_over(plant, batch.received, np.zeros(N), np.eye(N), method)
+
+
+def _ellipsoids(batch: SequenceBatch, method: str, plant: MeasuredPlant) -> list[Ellipsoid]:
+    return cast(list[Ellipsoid], _sets(batch, method, plant))
 
 
 ESTIMATORS: dict[str, Callable[[SequenceBatch], BoundedEstimates]] = {
@@ -210,10 +205,9 @@ def _identity(lanes: int, size: int) -> np.ndarray:
 
 
 def _of_ellipsoids(
-    sets: list[Ellipsoid], truths: list[np.ndarray], last: slice, per_cycle: bool
+    sets: list[Ellipsoid], truths: list[np.ndarray], last: slice, spacing: int
 ) -> BoundedEstimates:
     shapes = np.array([shape_matrix(one) for one in sets])
-    spacing = G if per_cycle else 1
     return BoundedEstimates(
         spacing * np.arange(1, len(sets) + 1),
         np.array([squared_radius(one, truth) for one, truth in zip(sets, truths, strict=True)]),

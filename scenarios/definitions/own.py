@@ -47,21 +47,13 @@ def own_scenario(
         ValueError: a sensor that cannot read the plant's states, or states that it does not have.
     """
     require_sensors(plant, sensors)
-    n = plant.states
-    if not scored_states or any(not 0 <= state < n for state in scored_states):
-        raise ValueError(f"scored_states {tuple(scored_states)}: must be some of 0 to {n - 1}")
     dealt = tuple(sensors)
 
     @cache
     def truth(count: int) -> OwnTruth:
         return OwnTruth(plant, tuple(dealt[node % len(dealt)] for node in range(count)))
 
-    units = {truth(1).state_units[state] for state in scored_states}
-    if len(units) > 1:
-        raise ValueError(
-            f"scored_states {tuple(scored_states)}: they have units {sorted(units)}; score states "
-            "of one unit"
-        )
+    score = own_score(truth(1).state_units, scored_states, first_scored_step)
     network = SensorNetwork(nodes=len(dealt) if nodes is None else nodes, graph=graph)
 
     def check(scenario: Scenario) -> None:
@@ -73,10 +65,28 @@ def own_scenario(
         plant=lambda scenario: truth(scenario.nodes),
         model=lambda _: plant,
         sensor=lambda scenario, node: truth(scenario.nodes).sensors[node],
-        score=Score(tuple(scored_states), min(units), tuple(range(n)), first_scored_step),
+        score=score,
         radio_range_m=radio_range_m,
     )
     return user_definition(kept_source(definition)).defaults
+
+
+def own_score(state_units: Sequence[str], scored_states: Sequence[int], first_step: int) -> Score:
+    """The score of some states of a plant, and of the NEES of all.
+
+    Raises:
+        ValueError: no state, one that the plant does not have, or states of different units.
+    """
+    n = len(state_units)
+    if not scored_states or any(not 0 <= state < n for state in scored_states):
+        raise ValueError(f"scored_states {tuple(scored_states)}: must be some of 0 to {n - 1}")
+    units = {state_units[state] for state in scored_states}
+    if len(units) > 1:
+        raise ValueError(
+            f"scored_states {tuple(scored_states)}: they have units {sorted(units)}; score states "
+            "of one unit"
+        )
+    return Score(tuple(scored_states), min(units), tuple(range(n)), first_step)
 
 
 def portable(scenario: Scenario) -> Scenario:

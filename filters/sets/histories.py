@@ -1,0 +1,130 @@
+"""Sets over a whole history of communication cycles: Algorithm 1 of Liu et al. (2021) and others.
+
+Lanes (...) are histories side by side.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from concord.filters.lanes import join_entries
+from concord.filters.sets.bus_readings import (
+    MeasuredPlant,
+    augmented,
+    cycle_evidence,
+    step_evidence,
+)
+from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.cycle import CycleResult
+from concord.filters.sets.ellipsoid import Ellipsoid, from_shape, image
+from concord.filters.sets.lifted_cycle import AugmentedCycle, DeliveredValues
+from concord.filters.sets.recursive_estimator import optimal_step
+from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
+from concord.filters.sets.zonotope import Zonotope
+from concord.filters.sets.zonotope_filter import zonotope_step
+
+CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
+Histories = Callable[[MeasuredPlant, DeliveredValues, Ellipsoid], list[Ellipsoid] | list[Zonotope]]
+
+
+def sets_over(
+    plant: MeasuredPlant,
+    received: DeliveredValues,
+    centre: np.ndarray,
+    shape: np.ndarray,
+    method: str = "tight",
+) -> list[Ellipsoid] | list[Zonotope]:
+    """The sets that hold the state, given what a bus delivered from step 0 on.
+
+    Args:
+        plant: with l outputs sent in turn and m - l that contend; a cycle has g = l + 1 steps.
+        received: as `concord.scenarios.definitions.measurement_runs.delivered` makes it.
+        centre, shape: (..., n) and (n, n), the ellipsoid that holds the state at step 0.
+        method: "paper" and "fast" give a set of (x in the g steps, held values) for each cycle,
+            "tight" of x in the g steps; "fast-rate" and "zonotope" of x for each step.
+
+    Raises:
+        ValueError: an unknown method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method {method!r}: must be one of {', '.join(METHODS)}")
+    lanes = received.winner.shape[:-1]
+    n = np.shape(centre)[-1]
+    first = from_shape(np.broadcast_to(centre, (*lanes, n)), np.broadcast_to(shape, (*lanes, n, n)))
+    return METHODS[method](plant, received, first)
+
+
+def augmented_prior(
+    state: Ellipsoid, held: np.ndarray, steps: int, held_half_width: float = 1.0
+) -> Ellipsoid:
+    """The ellipsoid of (x in the steps before, held) at first: one block for each of the steps.
+
+    Args:
+        state: (..., n), of the first state; blocks of states before it never matter.
+        held: (..., c), the values held, about which the ellipsoid has this half-width; 1 in the
+            paper, whose P(0) is the identity.
+    """
+    n, r = state.factor.shape[-2:]
+    count = held.shape[-1]
+    lanes = state.centre.shape[:-1]
+    factor = np.zeros((*lanes, steps * n + count, steps * r + count))
+    for block in range(steps):
+        rows, columns = slice(block * n, (block + 1) * n), slice(block * r, (block + 1) * r)
+        factor[..., rows, columns] = state.factor
+    factor[..., steps * n :, steps * r :] = held_half_width * np.eye(count)
+    return Ellipsoid(join_entries(*(state.centre,) * steps, held), factor)
+
+
+def by_cycle(
+    step: CycleStep,
+    plant: MeasuredPlant,
+    received: DeliveredValues,
+    first: Ellipsoid,
+    see: Callable[[AugmentedCycle], AugmentedCycle] = lambda cycle: cycle,
+) -> list[Ellipsoid]:
+    """Algorithm 1 with the step that finds an ellipsoid; `see` may change what it is told."""
+    kept = augmented_prior(first, received.held[..., 0, :], plant.length)
+    sets = []
+    for cycle in range(received.values.shape[-2]):
+        model = see(augmented(plant, received, cycle))
+        kept = step(kept, model, received.values[..., cycle, :]).after
+        sets.append(kept)
+    return sets
+
+
+def _tight(plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid) -> list[Ellipsoid]:
+    n = first.centre.shape[-1]
+    last = np.eye(plant.length * n)[-n:]
+    sets = []
+    for cycle in range(received.values.shape[-2]):
+        sets.append(conditioned_step(first, cycle_evidence(plant, received, cycle)))
+        first = image(sets[-1], last)
+    return sets
+
+
+def _fast_rate(
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid
+) -> list[Ellipsoid]:
+    sets: list[Ellipsoid] = []
+    for cycle in range(received.values.shape[-2]):
+        sets += step_by_step(sets[-1] if sets else first, step_evidence(plant, received, cycle))
+    return sets
+
+
+def _zonotopes(plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid) -> list[Zonotope]:
+    kept = Zonotope(first.centre, first.factor)
+    sets = []
+    for cycle in range(received.values.shape[-2]):
+        for evidence in step_evidence(plant, received, cycle):
+            kept = zonotope_step(kept, evidence)
+            sets.append(kept)
+    return sets
+
+
+METHODS: dict[str, Histories] = {
+    "paper": lambda *history: by_cycle(optimal_step, *history),
+    "fast": lambda *history: by_cycle(closed_form_step, *history),
+    "tight": _tight,
+    "fast-rate": _fast_rate,
+    "zonotope": _zonotopes,
+}
