@@ -20,17 +20,23 @@ from concord.filters.sets.lifted_cycle import AugmentedCycle
 from concord.filters.sets.multipliers import Problem, smallest_bound
 
 
-def optimal_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:
+def optimal_step(
+    before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray, samples_apart: bool = False
+) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came (corollary 1).
 
+    With `samples_apart` each noise sample has a multiplier of its own, not one for all as in (25).
     NaN in lanes in which no theta meets the terms: the bounds are wrong.
     """
     sound = replace_lost(before, 0.0)
-    bound = smallest_bound(problem(sound, cycle, turned(sound.factor, cycle)))
+    position = turned(sound.factor, cycle)
+    bound = smallest_bound(problem(sound, cycle, position, samples_apart))
     return follow(before, cycle, received, bound.factor, bound.gain)
 
 
-def problem(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> Problem:
+def problem(
+    before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray, samples_apart: bool = False
+) -> Problem:
     """The matrix inequality (20) as terms: -Omega + Xi = M(tau), Gamma = image - L known.
 
     position: R (..., N, r); the factor of `before` for (20) as printed, or that `turned`, which
@@ -38,11 +44,15 @@ def problem(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> P
     """
     of = unknowns(position, cycle)
     size, seen = of.image.shape[-1], position.shape[-1]
-    samples = cycle.noise.shape[-2]
+    samples, numbers = cycle.noise.shape[-2:]
     # A hair more than the bounds: what is on them in exact arithmetic may be rounded out.
     hair = 1.0 + rounding_bound(size)
+    # Columns of the noise of one sample after the other, or of all together.
+    groups = [(1 + seen, size - 1 - seen, samples)]
+    if samples_apart:
+        groups = [(1 + seen + sample * numbers, numbers, 1) for sample in range(samples)]
     balls = np.stack(
-        [ball(1, seen, size, hair), ball(1 + seen, size - 1 - seen, size, samples * hair)]
+        [ball(1, seen, size, hair), *(ball(*columns, size, n * hair) for *columns, n in groups)]
     )
     terms = join_stacks(balls, _losers(before, cycle, position))
     return Problem(terms, len(balls), of.image, of.known)

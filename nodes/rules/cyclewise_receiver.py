@@ -72,7 +72,7 @@ def augmented_cycle(
 ) -> tuple[Ellipsoid, Ellipsoid]:
     """The paper's estimator, exact or fast, on the augmented state; returns as `conditioned_cycle`.
 
-    What was lost has no row, and the losers of which the winner tells nothing have no weight.
+    Lost values have no row, and the losers of which the winner tells nothing have no weight.
     """
     lifted, result = cycle.lifted, cycle.result
     contending = len(lifted.weights)

@@ -1,8 +1,8 @@
 """The nodes of a measurement bus: sensors that share what they measure, a receiver that estimates.
 
 A step is one slot, so one communication cycle. A sensor knows what it sent. No bus here tells it
-whether the receiver heard it, so where frames are lost the two hold different values of it: the
-sensor bids its change since it last sent, and the receiver holds what it last heard.
+whether the receiver heard it. Where frames are lost, the sensor bids its change since it last sent,
+and the receiver holds the value that it last heard.
 """
 
 from collections.abc import Callable

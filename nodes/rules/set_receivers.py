@@ -30,7 +30,7 @@ from concord.nodes.rules.set_shapes import Shape
 
 @dataclass(frozen=True)
 class MeasuredSets:
-    """What a receiver of sets knows of plant and bus.
+    """The plant and the bus, as a receiver of sets knows them.
 
     Attributes:
         system: the plant, with scalar outputs 1..m of the sensors in their order.
@@ -84,7 +84,7 @@ class MeasuredSets:
 
 
 class HeldValues(NamedTuple):
-    """What the sensors sent last (..., m), and where (..., m) the receiver knows it for certain."""
+    """Values that sensors sent last (..., m), and where (..., m) the receiver is sure of them."""
 
     values: np.ndarray
     known: np.ndarray

@@ -84,8 +84,14 @@ class BoundedEstimates(NamedTuple):
 def simulate(seed: int, sequences: int, cycles: int, bus: MeasurementBus = BUS) -> SequenceBatch:
     """The paper's sequence and as many more, with the initial state in the unit ball and noise of
     four families, three of which go to its bound."""
+    starts, noise = initial_and_noise(seed, sequences, cycles * G)
+    states, outputs = liu2021.SYSTEM.simulate(starts, noise)
+    return SequenceBatch(states, delivered(bus, liu2021.STATIC_OUTPUTS, outputs))
+
+
+def initial_and_noise(seed: int, sequences: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """First states (1 + sequences, n) and noise (1 + sequences, steps, 1), the paper's first."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    steps = cycles * G
     noise = [liu2021.printed_noise(steps)]
     starts = [liu2021.INITIAL_STATE]
     for number in range(sequences):
@@ -93,8 +99,7 @@ def simulate(seed: int, sequences: int, cycles: int, bus: MeasurementBus = BUS) 
         direction = rng.standard_normal(N)
         length = 1.0 if number % 2 else rng.uniform()
         starts.append(length * direction / np.linalg.norm(direction))
-    states, outputs = liu2021.SYSTEM.simulate(np.array(starts), np.array(noise))
-    return SequenceBatch(states, delivered(bus, liu2021.STATIC_OUTPUTS, outputs))
+    return np.array(starts), np.array(noise)
 
 
 def _uniform(rng: np.random.Generator, steps: int) -> np.ndarray:

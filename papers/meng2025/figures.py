@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from concord.papers.kit.figures import one_axes
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
-from concord.papers.meng2025.table import mse_by_step, trace_by_step
+from concord.papers.meng2025.table import mse_by_step, running_mse, trace_by_step
 from concord.plants import meng2025
 
 TRUE, OURS, PRINTED, DYNAMIC = "0.15", "C0", "C3", "C1"
@@ -67,6 +67,11 @@ def _errors(batch: MeasuredBatch, recommended: SlotEstimates, printed: SlotEstim
             ls=":",
             label=f"tr P, {name}: the filter's estimate of it, no bound",
         )
+    running = running_mse(batch, recommended)
+    axes.semilogy(
+        steps[1:], running, color=TRUE, lw=1.0, ls="--",
+        label="running MSE of run 0, recommended: the printed formula",
+    )  # fmt: skip
     axes.set(xlabel="step s", ylabel="MSE and tr P (log scale)", xlim=(0, steps[-1]))
     axes.legend(frameon=False, loc="upper right")
     return figure

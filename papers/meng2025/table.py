@@ -74,6 +74,15 @@ def mse_by_step(batch: MeasuredBatch, outcome: SlotEstimates) -> np.ndarray:
     return ((outcome.mean - batch.truth) ** 2).sum(axis=-1).mean(axis=1)
 
 
+def running_mse(batch: MeasuredBatch, outcome: SlotEstimates, run: int = 0) -> np.ndarray:
+    """Mean square error (S,) of one run over the steps 1..s, the printed formula with i = s.
+
+    It forgets nothing: the error of the first steps stays in it, and its curve falls by itself.
+    """
+    squared = ((outcome.mean[1:, run] - batch.truth[1:, run]) ** 2).sum(axis=-1)
+    return np.cumsum(squared) / np.arange(1, len(squared) + 1)
+
+
 def trace_by_step(outcome: SlotEstimates) -> np.ndarray:
     """tr P (S + 1,), averaged over runs."""
     return np.trace(outcome.cov, axis1=-2, axis2=-1).mean(axis=1)

@@ -149,7 +149,7 @@ def _bounded(plant: BoundedPlant, sensors: tuple[BoundedSensor, ...]) -> PlantOn
 
 def _stochastic(plant: SensedPlant, sensors: tuple[()]) -> PlantOnBus:
     placed = replace(plant, placement=sensors_on_a_bus(len(plant.system.sizes)))
-    # Such a plant has no measurement at step 0.
+    # This plant has no measurement at step 0.
     return _of_system(placed, plant.system)._replace(first_slot=1)
 
 

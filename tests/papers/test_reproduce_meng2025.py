@@ -251,7 +251,7 @@ def test_the_whole_reproduction(tmp_path: Path):
     report = carry_out("meng2025", PAPER, tmp_path, seed=7, runs=12)
     assert report.complete and (report.seed, report.runs) == (7, 12)
     assert [section.title for section in report.sections] == [
-        "Claims", "Errata", "Figures", "Comparison", "Checks",
+        "Claims", "Errata", "Figures", "Comparison", "Checks", "One erratum at a time",
     ]  # fmt: skip
     text = (tmp_path / "report.md").read_text()
     for number in range(2, 6):

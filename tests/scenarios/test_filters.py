@@ -81,7 +81,7 @@ def test_records_are_refused_to_a_filter_that_learns(name: str):
 
 
 def test_a_filter_of_a_measurement_bus_is_refused_elsewhere():
-    with pytest.raises(ValueError, match="--filter recommended: it is for --scenario meng2025"):
+    with pytest.raises(ValueError, match="--filter recommended: it is for the receiver of a meas"):
         prepare(scenario_of("oscillator", filter="recommended"))
 
 
