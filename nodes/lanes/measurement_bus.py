@@ -134,7 +134,7 @@ class BatchedReception:
     def _counted(self, content: ReceptionContent, after: Any, name: str) -> Counters:
         """The counters, one more where a belief has just stopped being a number."""
         now, before = (
-            np.isfinite(self.receiver.belief(state).cov).all((-1, -2))
+            np.asarray(np.isfinite(self.receiver.belief(state).cov).all((-1, -2)))
             for state in (after, content.state)
         )
         failed = np.zeros((len(now), self.links.nodes), dtype=np.int64)

@@ -68,7 +68,7 @@ class MeasuredSets:
         # As the sensors compute them.
         each = [bid(change[..., [j]], weights[row]) for j, row in enumerate(rows)]
         bids = np.stack(each, -1)
-        winner, heard = np.argmax(fresh, -1), fresh.any(-1)
+        winner, heard = np.argmax(fresh, -1), np.asarray(fresh.any(-1))
         if self.losing_bids is None:
             untold = np.zeros(known.shape, dtype=bool)
             return ContentionResult(winner, heard, untold, np.ones(heard.shape))

@@ -235,7 +235,7 @@ def _baseline_filter(
     scenario = setup.scenario
     on_bus = plant_of(scenario)
     sizes = on_bus.system.sizes
-    values = np.full((len(readings), on_bus.system.entries), np.nan)
+    values = np.full((len(readings), sum(sizes)), np.nan)
     everything = bus_of(on_bus, scenario)
     for node in nodes:
         if node != RECEIVER:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,16 +81,17 @@ def on_a_measurement_bus(
 
 
 def _plant_on_bus(plant: Any, sensors: Sequence[Any]) -> PlantOnBus:
-    for kind, wanted, build in (
+    kinds: tuple[tuple[type, Any, Callable[..., PlantOnBus]], ...] = (
         (OwnPlant, OwnSensor, _gaussian),
         (BoundedPlant, BoundedSensor, _bounded),
         (SensedPlant, (), _stochastic),
-    ):
+    )
+    for kind, wanted, build in kinds:
         if isinstance(plant, kind):
             if any(not isinstance(sensor, wanted) for sensor in sensors):
                 word = wanted.__name__ if isinstance(wanted, type) else "the sensors of its own"
                 raise ValueError(f"sensors: a {kind.__name__} takes {word} and no others")
-            return build(plant, tuple(sensors))
+            return build(cast(Any, plant), tuple(sensors))
     raise ValueError(
         f"plant of type {type(plant).__name__}: give an OwnPlant, a BoundedPlant or a SensedPlant"
     )
