@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from concord.experiments.python_api import scenario as scenario
     from concord.experiments.python_api import simulate as simulate
     from concord.experiments.python_api import sweep as sweep
+    from concord.plants.bounded_plant import BoundedOutput as BoundedOutput
     from concord.plants.bounded_plant import BoundedPlant as BoundedPlant
-    from concord.plants.bounded_plant import BoundedSensor as BoundedSensor
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
     from concord.plants.own_plant import from_control as from_control
@@ -50,7 +50,7 @@ _HOMES = {
     **dict.fromkeys(("agree", "compare", "design", "launch", "load", "plots"), _API),
     **dict.fromkeys(("scenario", "simulate", "sweep"), _API),
     **dict.fromkeys(("OwnPlant", "OwnSensor", "from_control"), _OWN),
-    **dict.fromkeys(("BoundedPlant", "BoundedSensor"), "concord.plants.bounded_plant"),
+    **dict.fromkeys(("BoundedPlant", "BoundedOutput"), "concord.plants.bounded_plant"),
     **dict.fromkeys(("EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"),
     "on_a_measurement_bus": "concord.scenarios.definitions.own_measured",
     "own_scenario": "concord.scenarios.definitions.own",

@@ -82,7 +82,7 @@ class BoundedPlant:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BoundedSensor:
+class BoundedOutput:
     """y(k) = C x(k) + D w(k), one number, with the noise w of the plant.
 
     Attributes:
@@ -102,14 +102,14 @@ class BoundedSensor:
         return _at(self.D, step)
 
 
-def system_of(plant: BoundedPlant, sensors: Sequence[BoundedSensor]) -> BoundedSystem:
+def system_of(plant: BoundedPlant, sensors: Sequence[BoundedOutput]) -> BoundedSystem:
     """The plant with its sensors as outputs.
 
     Raises:
         ValueError: no sensor, or one whose rows do not fit the plant.
     """
     if not sensors:
-        raise ValueError("sensors: give at least one BoundedSensor")
+        raise ValueError("sensors: give at least one BoundedOutput")
     for number, sensor in enumerate(sensors, start=1):
         require_shape(f"C of sensor {number}", sensor.row(0), (plant.states,))
         require_shape(f"D of sensor {number}", sensor.noise_row(0), (len(plant.noise_shape),))

@@ -23,7 +23,7 @@ from concord.scenarios.definitions.meng2025 import SYSTEM
 _STEP = 1e-4
 
 
-class Information(NamedTuple):
+class FisherInformation(NamedTuple):
     """Fisher information of a normal vector with mean m(x) and covariance S(x), (R, ...) each.
 
     own: of x, (R, n, n). cross: J' S^-1 (R, n, d). inverse: S^-1 (R, d, d).
@@ -76,7 +76,7 @@ def _information(
     state: np.ndarray,
     noise_cov: np.ndarray,
     moment: NoiseSecondMoment,
-) -> Information:
+) -> FisherInformation:
     steps = _STEP * np.eye(state.shape[-1])
     # Central differences: exact but for rounding, as f is linear and h of second degree.
     jacobian = np.stack([(mean(state + h) - mean(state - h)) / (2 * _STEP) for h in steps], -1)
@@ -88,4 +88,4 @@ def _information(
     of_cov = 0.5 * np.einsum("rij,rji->r", spread, spread)
     cross = jacobian.mT @ inverse
     own = cross @ jacobian + of_cov[:, None, None] * gradient[:, :, None] * gradient[:, None, :]
-    return Information(own, cross, inverse)
+    return FisherInformation(own, cross, inverse)

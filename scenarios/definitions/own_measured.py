@@ -13,7 +13,7 @@ from concord.filters.filter import Filter
 from concord.filters.sigma_points import scaled_unscented
 from concord.plants.bounded_network import on_the_bound
 from concord.plants.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
-from concord.plants.bounded_plant import BoundedPlant, BoundedSensor, system_of
+from concord.plants.bounded_plant import BoundedOutput, BoundedPlant, system_of
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.plants.sensed import SensedPlant, sensors_on_a_bus
 from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem
@@ -28,17 +28,17 @@ from concord.scenarios.types.plants import UserPlant
 from concord.scenarios.types.rules import Reception
 from concord.scenarios.user_values import kept_source
 
-Weights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]
+BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]
 """A number or a matrix (m_j, m_j) for each sensor, or a function of the step that gives them."""
 
 
 def on_a_measurement_bus(
     plant: OwnPlant | BoundedPlant | SensedPlant,
-    sensors: Sequence[OwnSensor] | Sequence[BoundedSensor] = (),
+    sensors: Sequence[OwnSensor] | Sequence[BoundedOutput] = (),
     bus: BusChoice | None = None,
     receiver: FilterBase | Filter | str = "recommended",
     *,
-    weights: Weights | None = None,
+    weights: BidWeights | None = None,
     steps: int = 200,
     scored_states: Sequence[int] = (0,),
     first_scored_step: int = 20,
@@ -83,7 +83,7 @@ def on_a_measurement_bus(
 def _plant_on_bus(plant: Any, sensors: Sequence[Any]) -> PlantOnBus:
     kinds: tuple[tuple[type, Any, Callable[..., PlantOnBus]], ...] = (
         (OwnPlant, OwnSensor, _gaussian),
-        (BoundedPlant, BoundedSensor, _bounded),
+        (BoundedPlant, BoundedOutput, _bounded),
         (SensedPlant, (), _stochastic),
     )
     for kind, wanted, build in kinds:
@@ -132,7 +132,7 @@ def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
     )
 
 
-def _bounded(plant: BoundedPlant, sensors: tuple[BoundedSensor, ...]) -> PlantOnBus:
+def _bounded(plant: BoundedPlant, sensors: tuple[BoundedOutput, ...]) -> PlantOnBus:
     bounded = system_of(plant, sensors)
     system = as_gaussian(bounded, plant.states)
     truth = BoundedOnBus(
@@ -173,7 +173,7 @@ def _equal_weights(sizes: Sequence[int]) -> WeightsAt:
     return lambda _: weights
 
 
-def _weights_at(weights: Weights, sizes: Sequence[int]) -> WeightsAt:
+def _weights_at(weights: BidWeights, sizes: Sequence[int]) -> WeightsAt:
     """Weights as matrices, tried at step 0.
 
     Raises:

@@ -8,7 +8,7 @@ import pytest
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.metrics import nees
 from concord.plants import meng2025
-from concord.plants.bounded_plant import BoundedPlant, BoundedSensor
+from concord.plants.bounded_plant import BoundedOutput, BoundedPlant
 from concord.plants.own_plant import OwnPlant, OwnSensor
 from concord.plants.sensed import sensors_on_a_bus
 from concord.runtime.drivers import in_memory
@@ -30,9 +30,9 @@ BOUNDED = BoundedPlant(
     shape=[1.0, 2.0],
 )
 STRIPS = [
-    BoundedSensor(C=[1.0, 0.0], D=[0.0, 0.0, 1.0, 0.0]),
-    BoundedSensor(C=[0.0, 1.0], D=[0.0, 0.0, 0.0, 1.0]),
-    BoundedSensor(C=[1.0, 1.0], D=[0.0, 0.0, 1.0, 1.0]),
+    BoundedOutput(C=[1.0, 0.0], D=[0.0, 0.0, 1.0, 0.0]),
+    BoundedOutput(C=[0.0, 1.0], D=[0.0, 0.0, 0.0, 1.0]),
+    BoundedOutput(C=[1.0, 1.0], D=[0.0, 0.0, 1.0, 1.0]),
 ]
 
 
@@ -95,7 +95,7 @@ def test_weights_by_sensor_and_step_decide_who_sends():
     ("call", "says"),
     [
         (lambda: on_a_measurement_bus(LINEAR, STRIPS), "a OwnPlant takes OwnSensor"),
-        (lambda: on_a_measurement_bus(BOUNDED, []), "give at least one BoundedSensor"),
+        (lambda: on_a_measurement_bus(BOUNDED, []), "give at least one BoundedOutput"),
         (lambda: on_a_measurement_bus("motor", []), "plant of type str: give an OwnPlant"),  # type: ignore[arg-type]
         (
             lambda: on_a_measurement_bus(LINEAR, [FIRST, BOTH], receiver="zonotope"),
