@@ -9,15 +9,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.arbitration import (
-    Arbiter,
-    ArbiterState,
-    LosingBids,
-    Numbers,
-    award,
-    largest_bid,
-    unclassed,
-)
+from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
 from concord.bus.identified_frames import Framing, identifier_of
 from concord.bus.numbered_fragments import numbered
@@ -123,11 +115,6 @@ class IdentifiedBus(ABC):
         if not known or identifier_of(fragment.frame_id) not in identifiers:
             raise Rejected("wrong-slot")
         return place
-
-    @property
-    def losing_bids(self) -> LosingBids | None:
-        """The largest bids that losers may have beside a winner's; None where bids do not count."""
-        return unclassed if self._arbiter.urgency is largest_bid else None
 
     def urgency_class(self, node: int, cycle: int, frame_id: int) -> int:
         """Return the class of a node's frame ID; 0 for an ID that is not the node's."""

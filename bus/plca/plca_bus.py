@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from concord.bus.arbitration import Arbiter
+from concord.bus.arbitration import Arbiter, LosingBids, largest_bid, unclassed
 from concord.bus.bus import Transmission
 from concord.bus.identified_bus import IdentifiedBus
 from concord.bus.identified_frames import frame_id_of
@@ -51,6 +51,11 @@ class PlcaBus(IdentifiedBus):
     def worst_access_us(self) -> float:
         """The longest time from the request of a share, at any moment, to its last bit."""
         return BIT_US * worst_access_bits(self.timing, self.schedule.nodes, self._longest)
+
+    @property
+    def losing_bids(self) -> LosingBids | None:
+        """The largest bids that losers may have beside a winner's; None where bids do not count."""
+        return unclassed if self._arbiter.urgency is largest_bid else None
 
     def transmissions(
         self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()

@@ -19,7 +19,7 @@ from concord.filters.stochastic_ukf import (
     State,
     expected_cov,
 )
-from concord.nodes.rules.gaussian_receiver import on_fresh_rows
+from concord.nodes.receivers.gaussian_receiver import on_fresh_rows
 from concord.papers.meng2025 import filter_as_printed
 from concord.papers.meng2025.filter_as_printed import PrintedState
 from concord.papers.meng2025.runs import ComparedMethod

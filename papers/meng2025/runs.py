@@ -20,7 +20,7 @@ from concord.bus.measurement_bus import (
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from concord.nodes.rules.gaussian_receiver import GaussianReceiver
+from concord.nodes.receivers.gaussian_receiver import GaussianReceiver
 from concord.papers.kit.plant_runs import plant_runs
 from concord.papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,

@@ -38,12 +38,12 @@ from concord.nodes.lanes.links import Links
 from concord.nodes.lanes.measurement_bus import BatchedReception
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.lanes.one_by_one import OneByOne
-from concord.nodes.rules.gaussian_receiver import System
+from concord.nodes.receivers.gaussian_receiver import System
 from concord.nodes.rules.local_filter import Model, Sensor
 from concord.nodes.rules.measurement_bus import Receiver, ReceiverNode, SensorNode
 from concord.nodes.rules.measurement_codec import MeasurementCodec
 from concord.scenarios.definitions.measurement_runs import estimate, first_received
-from concord.scenarios.receivers import ReceiverParts, build_receiver, check_receiver
+from concord.scenarios.definitions.receivers import ReceiverParts, build_receiver, check_receiver
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import (
     NetworkWiring,

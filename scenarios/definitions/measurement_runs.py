@@ -10,7 +10,7 @@ from concord.bus.measurement_bus import MeasurementBus, SlotOutcome, bid, flexra
 from concord.filters.gaussian import Gaussian
 from concord.filters.sets.lifted_cycle import DeliveredValues, WeightsAtStep
 from concord.filters.stochastic_ukf import Received
-from concord.nodes.rules.gaussian_receiver import System
+from concord.nodes.receivers.gaussian_receiver import System
 from concord.nodes.rules.measurement_bus import Receiver
 
 

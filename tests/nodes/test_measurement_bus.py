@@ -9,7 +9,7 @@ from concord.filters.sigma_points import scaled_unscented
 from concord.filters.stochastic_ukf import RECOMMENDED
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import Measured
-from concord.nodes.rules.gaussian_receiver import GaussianReceiver
+from concord.nodes.receivers.gaussian_receiver import GaussianReceiver
 from concord.nodes.rules.measurement_bus import ReceiverNode, SensorNode
 from concord.nodes.rules.measurement_codec import MeasurementCodec
 from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R

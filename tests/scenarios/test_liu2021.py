@@ -13,7 +13,7 @@ from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.filters.stochastic_ukf import Received
-from concord.nodes.rules.set_receivers import HeldValues
+from concord.nodes.receivers.set_receivers import HeldValues
 from concord.papers.liu2021.runs import BUS, ESTIMATORS, SequenceBatch
 from concord.plants import liu2021
 from concord.runtime.batched.build import without_array_form

@@ -19,7 +19,7 @@ from concord.filters.sets.histories import CycleStep, augmented_prior
 from concord.filters.sets.lifted_cycle import LiftedCycle, augment, lift
 from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.stochastic_ukf import Received
-from concord.nodes.rules.set_receivers import (
+from concord.nodes.receivers.set_receivers import (
     ContentionResult,
     HeldValues,
     MeasuredSets,

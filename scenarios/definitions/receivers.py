@@ -16,14 +16,14 @@ from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.filters.sigma_points import SigmaPointRule
 from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter
-from concord.nodes.rules.cyclewise_receiver import (
+from concord.nodes.receivers.cyclewise_receiver import (
     CyclewiseReceiver,
     augmented_cycle,
     conditioned_cycle,
 )
-from concord.nodes.rules.gaussian_receiver import GaussianReceiver, System, on_fresh_rows
+from concord.nodes.receivers.gaussian_receiver import GaussianReceiver, System, on_fresh_rows
+from concord.nodes.receivers.set_receivers import MeasuredSets, StepwiseReceiver
 from concord.nodes.rules.measurement_bus import Receiver
-from concord.nodes.rules.set_receivers import MeasuredSets, StepwiseReceiver
 from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from concord.scenarios.filters import build_filter
 from concord.scenarios.scenario import Scenario, require

@@ -1,0 +1,1 @@
+"""Filters at the receiver of a measurement bus."""
