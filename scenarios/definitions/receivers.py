@@ -31,6 +31,7 @@ from concord.scenarios.types.buses import SensorSlots
 from concord.scenarios.types.filters import (
     EllipsoidReceiver,
     FilterBase,
+    NoiseLearningFilter,
     RecommendedFilter,
     SetFilter,
     UserFilter,
@@ -136,6 +137,11 @@ def check_receiver(scenario: Scenario, is_bounded: bool) -> None:
         ValueError: naming the receiver, what is in its way, and the cure.
     """
     choice, rule = scenario.filter, scenario.rule
+    if isinstance(choice, NoiseLearningFilter):
+        raise ValueError(
+            f"--filter {choice.name}: it learns the noise of a node's own sensors, and the receiver "
+            "of a measurement bus has none; use ukf or recommended"
+        )
     if not isinstance(choice, SetFilter):
         return
     assert isinstance(rule, Reception), "the caller has looked"

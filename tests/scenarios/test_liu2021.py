@@ -139,6 +139,7 @@ def test_the_summary_counts_the_sets_of_the_receiver_alone():
         ({"schedule": "dynamic"}, "--method tight works by communication cycles"),
         ({"changes": ("3 kill 4",)}, "--changes 3 kill: .*add --no-losers"),
         ({"nodes": 6}, "--nodes 6: must be 5"),
+        ({"filter": "aukf"}, "--filter aukf: it learns the noise of a node's own sensors"),
     ],
 )
 def test_what_a_receiver_of_sets_cannot_have(changes: dict, says: str):
