@@ -139,8 +139,8 @@ def check_receiver(scenario: Scenario, is_bounded: bool) -> None:
     choice, rule = scenario.filter, scenario.rule
     if isinstance(choice, NoiseLearningFilter):
         raise ValueError(
-            f"--filter {choice.name}: it learns the noise of a node's own sensors, and the receiver "
-            "of a measurement bus has none; use ukf or recommended"
+            f"--filter {choice.name}: it learns the noise of a node's own sensors, and the "
+            "receiver of a measurement bus has none; use ukf or recommended"
         )
     if not isinstance(choice, SetFilter):
         return
