@@ -19,10 +19,16 @@ from numpy.typing import NDArray
 from concord.bus.schedule import Schedule
 
 RECEIVER = 0
-# Fine enough to order any two readings a sensor can tell apart, too coarse for the last bit.
-BID_RESOLUTION = 2.0**-20
-# Every integer up to here is a float64, so bids of a whole batch can be made as floats.
-LARGEST_BID = 2**53
+# Bits of a float64's fraction that a bid keeps: enough to order any two readings that a sensor can
+# tell apart, too few for the last bit of a sum.
+_FRACTION_BITS = 30
+BID_RESOLUTION = 2.0**-_FRACTION_BITS
+"""Two changes whose ratio is closer to 1 than this may have the same bid."""
+_DROPPED_BITS = 52 - _FRACTION_BITS
+_ONE = 1023 << _FRACTION_BITS
+_OCTAVES = 64
+BID_SPAN = (_ONE - (_OCTAVES << _FRACTION_BITS), _ONE + (_OCTAVES << _FRACTION_BITS))
+"""Bids of squared changes from 2^-64 to 2^64: equal steps between them are equal ratios."""
 
 
 def zero_order_hold(received: np.ndarray) -> np.ndarray:
@@ -88,6 +94,12 @@ class MeasurementBus:
                     f"the weight of sensor {sensor} has shape {np.shape(weight)}, but its "
                     f"measurement has {size} entries; give a matrix ({size}, {size})"
                 )
+            least = np.linalg.eigvalsh(weight + weight.T)[0] / 2
+            if least < -1e-12 * np.abs(weight).max():
+                raise ValueError(
+                    f"the weight of sensor {sensor} has the eigenvalue {least:.3g}; give a matrix "
+                    "without negative ones, so that a larger change never bids less"
+                )
 
     @property
     def entries(self) -> int:
@@ -138,14 +150,17 @@ class MeasurementBus:
         return self.weights or tuple(np.eye(size) for size in self.sizes)
 
 
-def bid(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The bid (...) of a change (..., m_j) since the last transmission: change' Q_j change,
-    rounded down to units of BID_RESOLUTION; -1 where an entry of the change is NaN.
+def bid(change: np.ndarray, weight: np.ndarray) -> NDArray[np.int64]:
+    """The bid (...) of a change (..., m_j) since the last transmission; -1 where an entry is NaN.
 
-    Whole, so that the winner does not depend on the last bit of a sum.
+    It is the float64 change' Q_j change without the last bits of its fraction, read as an integer.
+    The order of positive floats is that of these integers, so the largest change wins in any unit.
+    Changes within `BID_RESOLUTION` of each other may tie: no winner depends on the last bit.
     """
-    urgency = (change * (change @ weight)).sum(axis=-1) / BID_RESOLUTION
-    return np.where(np.isnan(urgency), -1.0, np.clip(np.floor(urgency), 0.0, LARGEST_BID))
+    urgency = (change * (change @ weight)).sum(axis=-1)
+    # Adding zero turns a negative zero, whose integer is negative, into a positive one.
+    bits = (np.maximum(urgency, 0.0) + 0.0).view(np.int64) >> _DROPPED_BITS
+    return np.where(np.isnan(urgency), -1, bits)
 
 
 def flexray(sensors: int, static_slots: int) -> Schedule:

@@ -171,18 +171,23 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         arbiter_named(arbiter_of(chosen.schedule)),
         _classes(scenario, schedule),
         latch_delay_of(scenario.rule) or 0.0,
+        None if (wiring := definition_of(scenario).wiring) is None else wiring.bid_span,
     )
     return _BUSES[type(chosen)].build(chosen, request)
 
 
 class BusRequest(NamedTuple):
-    """The schedule of a bus, the longest share in bytes, and how nodes contend."""
+    """The schedule of a bus, the longest share in bytes, and how nodes contend.
+
+    bid_span: as `NetworkWiring.bid_span`.
+    """
 
     schedule: Schedule
     share_bytes: int
     arbiter: Arbiter
     classes: UrgencyClasses
     latch_delay_us: float
+    bid_span: tuple[int, int] | None = None
 
     @property
     def arbiter_without_classes(self) -> Arbiter:
@@ -217,7 +222,9 @@ def _plca(chosen: Plca, asked: BusRequest) -> Bus:
 def _can_fd(chosen: CanFd, asked: BusRequest) -> Bus:
     bits = IDENTIFIER_BITS[chosen.identifiers]
     rates = Rates(bits, chosen.nominal_kbit_s, chosen.data_kbit_s)
-    return can_fd_bus(asked.schedule, asked.share_bytes, asked.arbiter, asked.classes, rates)
+    return can_fd_bus(
+        asked.schedule, asked.share_bytes, asked.arbiter, asked.classes, rates, asked.bid_span
+    )
 
 
 def _can_fd_frames(chosen: CanFd) -> FrameFormat:

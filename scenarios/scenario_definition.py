@@ -74,12 +74,14 @@ class NetworkWiring(NamedTuple):
         share_bytes: length of a share.
         estimator: that of a node.
         names: what the options rule, schedule and hold may be here.
+        bid_span: least and largest bid, where nodes bid with logarithms; None otherwise.
     """
 
     schedule: Callable[[Scenario], Schedule]
     share_bytes: Callable[[Scenario], int]
     estimator: Callable[[Setup, int], AnyEstimator]
     names: dict[str, tuple[str, ...]]
+    bid_span: tuple[int, int] | None = None
 
 
 class ScenarioDefinition(NamedTuple):

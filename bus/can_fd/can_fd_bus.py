@@ -116,9 +116,16 @@ class CanFdBus(IdentifiedBus):
 
 
 def can_fd_bus(
-    schedule: Schedule, share_bytes: int, arbiter: Arbiter, classes: BidClasses, rates: Rates
+    schedule: Schedule,
+    share_bytes: int,
+    arbiter: Arbiter,
+    classes: BidClasses,
+    rates: Rates,
+    bid_span: tuple[int, int] | None = None,
 ) -> CanFdBus:
     """Return the bus of a schedule whose shares have at most that many bytes.
+
+    bid_span: least and largest bid, where bids are logarithms (`BidLevels`).
 
     Raises:
         ValueError: the data rate is below the nominal one, or identifiers are too short.
@@ -130,5 +137,5 @@ def can_fd_bus(
         )
     if arbiter.urgency is largest_bid and any(schedule.dynamic_slot_table):
         levels = layout(schedule.nodes, rates.identifier_bits, 1).levels
-        return CanFdBus(schedule, share_bytes, _BY_BID, BidLevels(levels), rates)
+        return CanFdBus(schedule, share_bytes, _BY_BID, BidLevels(levels, bid_span), rates)
     return CanFdBus(schedule, share_bytes, arbiter, classes, rates)

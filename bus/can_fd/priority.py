@@ -58,20 +58,27 @@ def layout(nodes: int, identifier_bits: int, classes: int) -> Identifiers:
 class BidLevels:
     """Bids on a logarithmic scale of whole steps: class 0 has the largest bids.
 
+    span: least and largest bid that are told apart, where the bids are logarithms themselves; None
+    where they are numbers from 1 to 2^52.
+
     Raises:
         ValueError: fewer than one class for each doubling of a bid.
     """
 
-    def __init__(self, levels: int) -> None:
+    def __init__(self, levels: int, span: tuple[int, int] | None = None) -> None:
         steps = (levels - 1) // _OCTAVES
         if steps < 1:
             raise ValueError(
                 f"--bus can-fd --arbiter wtod: {levels} levels of urgency are fewer than the "
                 f"{_OCTAVES + 1} that tell bids apart; use --identifiers extended or fewer --nodes"
             )
-        self.count = steps * _OCTAVES + 1
-        exponents = np.arange(1, self.count) / steps
-        self._borders = np.rint(np.exp2(exponents)).astype(np.int64)
+        if span is None:
+            self.count = steps * _OCTAVES + 1
+            borders = np.exp2(np.arange(1, self.count) / steps)
+        else:
+            self.count = levels
+            borders = np.linspace(*span, levels - 1)
+        self._borders = np.rint(borders).astype(np.int64)
 
     def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
         """Return the class of each bid (...)."""

@@ -49,9 +49,12 @@ def cycle_evidence(plant: MeasuredPlant, received: DeliveredValues, cycle: int) 
     """A cycle as one step: of x at its beginning, what becomes of x in its g steps (g n,)."""
     lifted = lift(plant.system, plant.static_outputs, plant.weights, cycle)
     values = received.values[..., cycle, :]
-    outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape))
+    reached = lifted.majorant or lifted
+    moved = BoundedMotion(reached.states, reached.states_noise)
+    seen = BoundedMotion(reached.outputs, reached.outputs_noise)
+    outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape), seen)
     return bus_evidence(
-        BoundedMotion(lifted.states, lifted.states_noise),
+        BoundedMotion(lifted.states, lifted.states_noise, moved),
         outputs,
         plant.static_outputs,
         lifted.weights,

@@ -42,6 +42,7 @@ class LiftedCycle(NamedTuple):
 
     states (g n, n): x in steps 1..g of the cycle, one after the other, from x at its beginning.
     outputs (m, n): each output in the step in which it would be sent. weights (m - l,): of (5).
+    majorant: the same of `BoundedSystem.majorant`, which itself has none.
     """
 
     states: np.ndarray
@@ -49,6 +50,7 @@ class LiftedCycle(NamedTuple):
     outputs: np.ndarray
     outputs_noise: np.ndarray
     weights: np.ndarray
+    majorant: "LiftedCycle | None" = None
 
 
 class AugmentedCycle(NamedTuple):
@@ -58,6 +60,7 @@ class AugmentedCycle(NamedTuple):
 
     candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
     `winner` (...) of them was sent: its squared change times `weights` (m - l,) is the largest.
+    majorant: the same of the lifted cycle's, for bounds of rounding.
     """
 
     transition: np.ndarray
@@ -68,6 +71,7 @@ class AugmentedCycle(NamedTuple):
     candidates_noise: np.ndarray
     weights: np.ndarray
     winner: NDArray[np.int_]
+    majorant: "AugmentedCycle | None" = None
 
 
 def largest_change(values: np.ndarray, held: np.ndarray, weights: np.ndarray) -> NDArray[np.int_]:
@@ -120,7 +124,27 @@ def transmit(
 def lift(
     system: BoundedSystem, static_outputs: int, weights: WeightsAtCycle, cycle: int
 ) -> LiftedCycle:
-    """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle."""
+    """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle.
+
+    Raises:
+        ValueError: the weights do not fit the contending outputs, or one is not positive.
+    """
+    first = cycle * (static_outputs + 1)
+    contending = len(system.output(first)) - static_outputs
+    of_outputs = np.asarray(weights(first + static_outputs))
+    if of_outputs.shape != (contending,) or not (of_outputs > 0.0).all():
+        raise ValueError(
+            f"weights {of_outputs.tolist()} of {contending} contending outputs; give one positive "
+            "number for each, so that the winner's change is the largest"
+        )
+    of_cycle = _lifted(system, static_outputs, weights, cycle)
+    majorant = _lifted(system.majorant(), static_outputs, weights, cycle)
+    return of_cycle._replace(majorant=majorant)
+
+
+def _lifted(
+    system: BoundedSystem, static_outputs: int, weights: WeightsAtCycle, cycle: int
+) -> LiftedCycle:
     length = static_outputs + 1
     first = cycle * length
     noise = system.scaled_noise_input(first)
@@ -173,4 +197,5 @@ def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:
     return AugmentedCycle(
         transition, noise, output, output_noise,
         candidates, cycle.outputs_noise[static:], cycle.weights, np.asarray(winner),
+        None if cycle.majorant is None else augment(cycle.majorant, winner),
     )  # fmt: skip

@@ -4,8 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.runs import BoundedEstimates, SequenceBatch, by_cycle, paper, simulate
+from concord.papers.liu2021.runs import (
+    BoundedEstimates,
+    SequenceBatch,
+    by_cycle,
+    paper,
+    printed_step,
+    simulate,
+)
 
 
 class Mutant(NamedTuple):
@@ -26,7 +32,7 @@ class Mutant(NamedTuple):
 
 def mutant_of_sign(batch: SequenceBatch) -> Mutant:
     """The sign of Xi in (20) flipped, which is the same as negative weights."""
-    return _mutant(by_cycle(optimal_step, batch, lambda c: c._replace(weights=-c.weights)))
+    return _mutant(by_cycle(printed_step, batch, lambda c: c._replace(weights=-c.weights)))
 
 
 def mutant_of_rule(seed: int, sequences: int, cycles: int) -> Mutant:

@@ -12,22 +12,59 @@ those before the cycle.
 
 import numpy as np
 
+from concord.bus.measurement_bus import BID_RESOLUTION
 from concord.filters.lanes import join_columns, join_stacks
 from concord.filters.linalg import multiply
-from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
-from concord.papers.liu2021.cycle import CycleResult, ball, flat, follow, turned, unknowns
+from concord.filters.sets.criterion import Criterion, unit_free
+from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost
+from concord.filters.sets.rounding import magnitudes, pseudo_inverse, rounding_bound
+from concord.papers.liu2021.cycle import (
+    CycleResult,
+    Proof,
+    ball,
+    check_sizes,
+    flat,
+    follow,
+    heard,
+    shared,
+    turned,
+    unknowns,
+)
 from concord.papers.liu2021.flexray_cycle import AugmentedCycle
-from concord.papers.liu2021.multipliers import Problem, smallest_bound
+from concord.papers.liu2021.multipliers import ACCURACY, Problem, smallest_bound
 
 
-def optimal_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:
+def optimal_step(
+    before: Ellipsoid,
+    cycle: AugmentedCycle,
+    received: np.ndarray,
+    criterion: Criterion = unit_free,
+    accuracy: float = ACCURACY,
+) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came (corollary 1).
 
-    NaN in lanes in which no theta meets the terms: the bounds are wrong.
+    NaN in lanes in which no theta meets the terms, or none explains what was received: the bounds
+    are wrong. A value that is NaN was not received.
+
+    Args:
+        criterion: the weights of the states; `plain_trace` for the paper's.
+        accuracy: the duality gap to reach, relative to the trace.
     """
+    check_sizes(before, cycle, received)
+    cycle, received = heard(cycle, received)
     sound = replace_lost(before, 0.0)
-    bound = smallest_bound(problem(sound, cycle, turned(sound.factor, cycle)))
-    return follow(before, cycle, received, bound.factor, bound.gain)
+    position = turned(sound.factor, cycle)
+    asked = problem(sound, cycle, position)
+    bound = smallest_bound(asked, criterion, accuracy)
+    # The balls alone, with the multipliers that were found, say what can have been received.
+    samples, seen = cycle.noise.shape[-2], position.shape[-1]
+    parts = bound.multipliers[..., 0], samples * bound.multipliers[..., 1]
+    share = parts[0] / (parts[0] + parts[1])
+    known = asked.known[..., 1:]
+    known = known * shared(share, seen, known.shape[-1], samples)[..., None, :]
+    uncut = np.sqrt((asked.image**2).sum(-1))
+    proof = Proof(bound.factor, bound.gain, known, pseudo_inverse(known), bound.gap, uncut)
+    return follow(before, cycle, received, proof, criterion)
 
 
 def problem(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> Problem:
@@ -56,7 +93,8 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     squares = cycle.weights[:, None, None] * change[..., :, None] * change[..., None, :]
     # A bound of the rounding error of the comparison, added as a constant that weakens the term.
     reach = np.abs(before.centre) + half_widths(before)
-    largest = multiply(np.abs(cycle.candidates), reach)
+    of = cycle.majorant or cycle
+    largest = magnitudes(of.candidates, of.candidates_noise, reach)
     slack = rounding_bound(change.shape[-1]) * np.abs(cycle.weights) * largest**2
     winner = np.asarray(cycle.winner)[..., None]
     count = len(cycle.weights)
@@ -66,6 +104,9 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     lost = np.arange(count - 1) + (np.arange(count - 1) >= winner)
     of_losers = np.take_along_axis(squares, lost[..., None, None], -3)
     of_winner = np.take_along_axis(squares, winner[..., None, None], -3)
-    terms = of_losers - of_winner
+    # Bids are rounded: a loser's squared change may be larger by their resolution.
+    terms = of_losers - (1.0 + BID_RESOLUTION) * of_winner
     terms[..., 0, 0] -= np.take_along_axis(slack, lost, -1) + np.take_along_axis(slack, winner, -1)
-    return terms
+    # Without a winner nothing was compared; -1 <= 0 says nothing.
+    nothing = -np.outer(*np.eye(1, change.shape[-1]).repeat(2, 0))
+    return np.where((winner < 0)[..., None, None], nothing, terms)

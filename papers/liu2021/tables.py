@@ -13,8 +13,7 @@ from concord.filters.lanes import join_columns
 from concord.filters.sets.ellipsoid import Ellipsoid, squared
 from concord.papers.liu2021.bus import augmented
 from concord.papers.liu2021.flexray_cycle import transmit
-from concord.papers.liu2021.recursive_estimator import optimal_step
-from concord.papers.liu2021.runs import HELD, PLANT, G, N
+from concord.papers.liu2021.runs import HELD, PLANT, G, N, printed_step
 from concord.plants import liu2021
 
 WINNER_OF_TABLES = 1
@@ -69,7 +68,7 @@ def gains_of_tables() -> np.ndarray:
     kept, gains = Ellipsoid(np.zeros(size), np.eye(size)), []
     for cycle in range(cycles):
         model = augmented(PLANT, received, cycle)
-        step = optimal_step(kept, model, received.values[cycle])
+        step = printed_step(kept, model, received.values[cycle])
         gains.append(step.gain)
         hair = np.sqrt(_HAIR) * np.eye(size)
         kept = Ellipsoid(step.after.centre, squared(join_columns(step.after.factor, hair)))

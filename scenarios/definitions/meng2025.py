@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 
 from concord.bus.measurement_bus import (
+    BID_SPAN,
     RECEIVER,
     MeasurementBus,
     all_at_once,
@@ -181,6 +182,7 @@ DEFINITION = ScenarioDefinition(
         share_bytes=lambda scenario: _codec(scenario).size,
         estimator=_estimator,
         names=_NAMES,
+        bid_span=BID_SPAN,
     ),
     baseline_filter=_baseline_filter,
 )

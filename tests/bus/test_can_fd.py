@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.bus import measurement_bus
 from concord.bus.arbitration import ARBITERS, award, begin_arbitration
 from concord.bus.bus import Rejected
 from concord.bus.can_fd.bits import (
@@ -171,6 +172,20 @@ def test_a_larger_bid_never_has_a_higher_identifier(bids: list[int], levels: int
             assert not (bid > other and own > its)
             # Bids apart by a whole step have different identifiers.
             assert not (other and bid > other * 2 ** (1.5 * 52 / (scale.count - 1)) and own == its)
+
+
+@quick
+@given(st.floats(-18, 18), st.floats(1.06, 100), st.sampled_from((1500, 2047)))
+def test_identifiers_tell_apart_squared_changes_that_differ_by_a_level(
+    exponent: float, ratio: float, levels: int
+):
+    """A measurement bus bids with the bits of a float, which are a logarithm already."""
+    scale = BidLevels(levels, measurement_bus.BID_SPAN)
+    squares = 10.0**exponent * np.array([1.0, ratio])
+    bids = measurement_bus.bid(np.sqrt(squares)[:, None], np.eye(1))
+    less, more = scale.of(bids, np.zeros(2, dtype=np.int64)).tolist()
+    assert 0 <= more <= less < scale.count == levels
+    assert (more < less) or ratio < 2 ** (128 / (levels - 2)) * 1.05
 
 
 @quick

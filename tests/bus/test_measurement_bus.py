@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from concord.bus.measurement_bus import (
@@ -191,17 +191,48 @@ def test_runs_in_a_batch_do_not_touch_each_other(seed: int, slot: int):
 # --- bids ----------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3), st.integers(0, 2**20))
-def test_a_bid_is_the_weighted_square_to_its_resolution(change: list[float], seed: int):
+CHANGES = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3)
+SCALES = st.floats(-6, 6).map(lambda exponent: 10.0**exponent)
+
+
+@given(st.tuples(CHANGES, CHANGES), st.integers(0, 2**20), SCALES)
+def test_bids_have_the_order_of_the_weighted_squares_to_their_resolution(changes, seed, scale):
     (weight,) = random_weights(seed, (3,))
-    exact = float(np.array(change) @ weight @ np.array(change))
-    made = float(bid(np.array(change), weight))
-    assert made == int(made) >= 0
-    assert abs(made * BID_RESOLUTION - exact) <= BID_RESOLUTION + 1e-12 * exact
+    exact = [float(scale**2 * np.array(one) @ weight @ np.array(one)) for one in changes]
+    made = bid(scale * np.array(changes), weight)
+    assert made.dtype == np.int64 and (made >= 0).all()
+    assume(all(one == 0.0 or one > 1e-200 for one in exact))
+    if made[0] > made[1]:
+        assert exact[0] >= exact[1] * (1 - 1e-12)
+    elif made[0] == made[1]:
+        assert abs(exact[0] - exact[1]) <= max(exact) * (BID_RESOLUTION + 1e-12)
+
+
+@given(FLEXRAY_SENSORS, st.integers(0, 2**20), SCALES)
+def test_winners_do_not_change_under_a_common_factor(sensors, seed: int, scale: float):
+    """Equation (4) has no unit: neither may its winners."""
+    sizes, _ = sensors
+    schedule = try_once_discard(len(sizes), range(1, len(sizes) + 1))
+    bus = MeasurementBus(tuple(sizes), schedule, random_weights(seed, sizes))
+    measurement, received = numbers(seed, 2, 20, sum(sizes))
+    expected = bus.transmit(1, measurement, received).sent
+    scaled = bus.transmit(1, scale * measurement, scale * received).sent
+    np.testing.assert_array_equal(scaled, expected)
+
+
+@given(FLEXRAY_SENSORS, st.integers(0, 2**20), st.integers(-400, 400))
+def test_bids_move_by_one_number_under_a_power_of_two(sensors, seed: int, exponent: int):
+    sizes, _ = sensors
+    bus = MeasurementBus(tuple(sizes), all_at_once(len(sizes)), random_weights(seed, sizes))
+    measurement, received = numbers(seed, 2, sum(sizes))
+    factor = 2.0**exponent
+    moved = bus.bids(factor * measurement, factor * received) - bus.bids(measurement, received)
+    np.testing.assert_array_equal(moved, round(2 * exponent / BID_RESOLUTION))
 
 
 def test_no_bid_for_no_measurement():
-    assert bid(np.array([[np.nan, 1.0], [0.0, 0.0]]), np.eye(2)).tolist() == [-1.0, 0.0]
+    changes = np.array([[np.nan, 1.0], [0.0, 0.0], [-0.0, 0.0]])
+    assert bid(changes, np.eye(2)).tolist() == [-1, 0, 0]
 
 
 # --- refusals ------------------------------------------------------------------------------------

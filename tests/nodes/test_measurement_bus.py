@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from concord.bus.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
+from concord.bus.measurement_bus import bid, zero_input, zero_order_hold
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.stochastic_ukf import RECOMMENDED
@@ -70,10 +70,15 @@ def test_what_is_no_measurement_is_rejected(body: bytes, reason: str):
 # --- a sensor ------------------------------------------------------------------------------------
 
 
+def number_of(urgency: float) -> int:
+    """The bid of a weighted squared change."""
+    return int(bid(np.array([1.0]), np.array([[urgency]])))
+
+
 def test_a_sensor_bids_with_its_weighted_change_since_it_sent():
     node = sensor()
     content, _ = node.begin_step(node.start(), measured(1, 1.5, -3.0))
-    assert node.bid(content) == round((0.5**2 + 4 * 2.0**2) / BID_RESOLUTION)
+    assert node.bid(content) == number_of(0.5**2 + 4 * 2.0**2)
     content, body = node.compose(content)
     content, _ = node.fuse(content, (None,))
     np.testing.assert_array_equal(node.accept(body), [1.5, -3.0])
@@ -86,7 +91,7 @@ def test_a_sensor_that_lost_still_measures_its_change_from_what_it_sent():
     content, _ = node.begin_step(node.start(), measured(1, 2.0, -1.0))
     content, _ = node.fuse(content, (None,))
     content, _ = node.begin_step(content, measured(2, 3.0, -1.0))
-    assert node.bid(content) == round(2.0**2 / BID_RESOLUTION)
+    assert node.bid(content) == number_of(2.0**2)
 
 
 def test_with_zero_input_a_silent_sensor_is_taken_to_measure_zero():
@@ -94,7 +99,7 @@ def test_with_zero_input_a_silent_sensor_is_taken_to_measure_zero():
     content, _ = node.begin_step(node.start(), measured(1, 2.0, -1.0))
     content, _ = node.fuse(content, (None,))
     content, _ = node.begin_step(content, measured(2, 3.0, 0.0))
-    assert node.bid(content) == round(3.0**2 / BID_RESOLUTION)
+    assert node.bid(content) == number_of(3.0**2)
 
 
 def test_nothing_measured_is_nothing_to_ask_for():
