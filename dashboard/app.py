@@ -70,7 +70,9 @@ class Dashboard:
 
     def _shown(self) -> Shown:
         with self.view.lock:
-            return Shown(self.stage, replace(self.view), self.history, self.page.charts.drawn)
+            history = self.history
+            stage = history.at(self.view.step).stage if len(history) else self.stage
+            return Shown(stage, replace(self.view), history, self.page.charts.drawn)
 
     def _shortcuts(self) -> None:
         bind, controls = self._window.bind, self.controls
@@ -156,7 +158,6 @@ class Dashboard:
             self._magnify(frames[-1])
         if self.source.stage is not self.stage:
             self.stage = self.source.stage
-            self.page.set_stage(self.stage)
             self.controls.set_stage(self.stage)
         if frames:
             self.page.set_extent(self.history.first_step, self.history.last_step)

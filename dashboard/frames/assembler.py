@@ -116,6 +116,7 @@ class Assembler:
         ages = self._ages.copy()
         fused = fuse(self._belief, alive)
         return StepFrame(
+            stage=stage,
             step=number,
             time_s=number * stage.setup.time_step_s,
             truth=truth,

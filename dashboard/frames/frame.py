@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus, Transmission
+from concord.dashboard.frames.stage import Stage
 from concord.filters.gaussian import Gaussian
 
 
@@ -64,6 +65,7 @@ class StepFrame(NamedTuple):
     """The network after step `step`.
 
     Attributes:
+        stage: the fixed part of the picture, with the settings that held in this step.
         truth: (n,), NaN where unknown. belief: of every node, (N, n) and (N, n, n); the last known
         of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
         their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
@@ -73,6 +75,7 @@ class StepFrame(NamedTuple):
         rejected a frame.
     """
 
+    stage: Stage
     step: int
     time_s: float
     truth: np.ndarray

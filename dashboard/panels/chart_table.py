@@ -91,4 +91,4 @@ _truth, _mean, _deviation = _of_state(0), _of_state(1), _of_state(2)
 
 
 def _reach(sample: Sample) -> np.ndarray:
-    return sample.stage.deviations * _deviation(sample)
+    return np.array([frame.stage.deviations for frame in sample.frames]) * _deviation(sample)

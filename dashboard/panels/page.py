@@ -43,7 +43,7 @@ class Page:
         view: View,
         failures: PanelFailures,
     ) -> None:
-        self._window, self._inputs, self._stage = window, inputs, stage
+        self._window, self._inputs = window, inputs
         self._attempt = failures.attempt
         self._drawn: dict[str, str] = {}
         gui, nodes = window.server.gui, stage.nodes
@@ -71,10 +71,6 @@ class Page:
         self.scene = Scene(window.server.scene, stage, view.theme, inputs.select)
         window.aim(self.scene, panels.arrange)
 
-    def set_stage(self, stage: Stage) -> None:
-        """Draw a network whose settings have changed."""
-        self._stage = stage
-
     def set_extent(self, first_step: int, last_step: int) -> None:
         """Let people choose among these steps."""
         self._inputs.show(self.slider, max=max(1, last_step), min=first_step)
@@ -88,7 +84,7 @@ class Page:
         frame = history.at(view.step)
         cycle = frame.cycles[min(int(view.cursor), len(frame.cycles) - 1)]
         sender, now_us = sender_at(frame, view.cursor)
-        trail = _CAR_TRAIL if self._stage.picture is PlantDrawing.TRACK else TRAIL
+        trail = _CAR_TRAIL if frame.stage.picture is PlantDrawing.TRACK else TRAIL
         tail = history.until(frame.step, trail)
         assign = self._attempt("Scene", lambda: self.scene.draw(view, frame, tail, sender))
 
@@ -106,7 +102,8 @@ class Page:
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
-        stage, frame = self._stage, history.at(view.step)
+        frame = history.at(view.step)
+        stage = frame.stage
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Nodes": (self._table, lambda: node_table(stage, view, frame)),

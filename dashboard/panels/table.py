@@ -127,7 +127,10 @@ def status(
     detail: str = "",
     failures: Sequence[str] = (),
 ) -> str:
-    """Return the state of the run in a few lines, and the panels that fail."""
+    """Return the state of the run in a few lines, and the panels that fail.
+
+    The settings are those of the frame; those of `stage` where there is no frame.
+    """
     colour = {
         "RUNNING": theme.fused,
         "PAUSED": theme.sending,
@@ -141,6 +144,7 @@ def status(
     )
     rows: list[tuple[str, str, str]] = []
     if frame is not None:
+        stage = frame.stage
         unit = stage.score.unit.removeprefix("1")
         rows = [
             ("step", "step", f"{frame.step}"),

@@ -62,7 +62,7 @@ class Plane:
         # One disc over the other: at one height they would flicker through each other.
         at[-1, 2] -= 0.04
         half, angle = geometry.ellipse_axes(np.where(shown[:, None, None], cov, np.eye(2)))
-        half = view.magnify * stage.deviations * stage.scale * half
+        half = view.magnify * frame.stage.deviations * stage.scale * half
         colours = np.tile(np.array(theme.estimate), (len(mean), 1))
         colours[-1] = theme.fused
         if view.selected is not None:

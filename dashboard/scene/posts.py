@@ -48,7 +48,7 @@ class ErrorPosts:
 
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
-        error, width = frame.scores.error, stage.deviations * frame.scores.width
+        error, width = frame.scores.error, frame.stage.deviations * frame.scores.width
         top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
         units = self._HEIGHT / top if top > 0 else 1.0
         places = self.node_places(frame, past)
