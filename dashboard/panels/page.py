@@ -49,10 +49,11 @@ class Page:
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
         with panels.charts:
-            gui.add_html(DENSE_STYLE)
-            self.charts = Charts(gui, run_charts(stage), view.theme, _CHART_HEIGHT)
-        with panels.state:
-            self._state_charts = Charts(gui, state_charts(), view.theme, _STATE_CHART_HEIGHT)
+            gui.add_html(DENSE_STYLE, order=0)
+        self.charts = Charts(gui, panels.charts, run_charts(stage), view.theme, _CHART_HEIGHT)
+        self._state_charts = Charts(
+            gui, panels.state, state_charts(), view.theme, _STATE_CHART_HEIGHT
+        )
         with panels.log:
             self._log: Any = gui.add_html("")
         with panels.nodes:

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from concord.bus.flexray.share_frames import SHARE_FRAMES
-from concord.dashboard.serve import open_recording
-from concord.runtime.drivers import drive
-from concord.runtime.recording import McapRecorder
-from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
-from tests.dashboard.runs import setup_of
+from tests.dashboard.browser_page import Page, point_at, press_on, recorded_page, row_of, slot_of
 
 # One after the other: a node that is pressed, and then where the pointer is.
 _PRESS_AND_MOVE_ON = """([first, second, third]) => {
@@ -30,17 +25,8 @@ _PRESS_AND_MOVE_ON = """([first, second, third]) => {
 
 @pytest.fixture(scope="module")
 def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    setup = setup_of("target-tracking", nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     folder = tmp_path_factory.mktemp("recorded")
-    recorder = McapRecorder(
-        folder / "run.mcap", setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES
-    )
-    drive(setup, recorder, lambda _: None)
-    recorder.close()
-    (folder / "run.json").write_text("{}")
-    dashboard = open_recording(setup, folder / "run.mcap", "127.0.0.1", 0, light=False)
-    dashboard.view.playing = dashboard.view.follow = False
-    shown = Page(dashboard, chromium)
+    shown = recorded_page(chromium, folder, nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     yield shown
     shown.close()
 
