@@ -3,15 +3,19 @@
 import contextlib
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakKeyDictionary
 
+import numpy as np
 import rich
 import viser
 
 from concord.dashboard.access import PageAccess
 from concord.dashboard.inputs import at_once
-from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from concord.dashboard.layout import Panels
+from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Camera, Free, aimed
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import Theme
+from concord.dashboard.viewport import Viewports
 
 _FIRST_SIZE = (1600, 900)
 
@@ -26,6 +30,8 @@ class PageServer:
         with self.access.guarding():
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.gui.set_panel_label("concord")
+        self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
+        self._aims: WeakKeyDictionary[viser.ClientHandle, Camera] = WeakKeyDictionary()
 
     @property
     def url(self) -> str:
@@ -43,20 +49,35 @@ class PageServer:
             brand_color=(0, 114, 178),
         )
 
-    def aim(self, scene: Scene, arrange: Callable[[int, int], Free]) -> None:
-        """Aim the camera at what the panels leave free, now and for the window of each client."""
-        camera = self.server.initial_camera
-        camera.position, camera.look_at = aimed(scene.extent(), arrange(*_FIRST_SIZE))
+    def aim(self, scene: Scene, panels: Panels) -> None:
+        """Arrange the panels of each client for its window, and aim its camera at the rest."""
+        camera, (width, height) = self.server.initial_camera, _FIRST_SIZE
+        camera.position, camera.look_at = aimed(
+            scene.extent(), Free(width, height, 0, 0, width, height)
+        )
         camera.fov = FIELD_OF_VIEW_RAD
 
-        def fit(client: viser.ClientHandle) -> None:
-            camera = client.camera
-            with contextlib.suppress(AssertionError):
-                if camera.image_width and camera.image_height:
-                    free = arrange(camera.image_width, camera.image_height)
-                    camera.position, camera.look_at = aimed(scene.extent(), free)
+        def fit(client: viser.ClientHandle, width: int, height: int) -> None:
+            self._free[client] = panels.arrange(client, width, height)
+            # A camera that the user has turned stays where it is.
+            if client not in self._aims or _stands(client, self._aims[client]):
+                self._turn(client, aimed(scene.extent(), self._free[client]))
 
-        self.server.on_client_connect(fit)
+        # The column of the controls is minimized in a small window, and what is in it does nothing.
+        with panels.bus:
+            viewports = Viewports(self.server.gui, fit)
+
+        def first(client: viser.ClientHandle) -> None:
+            # Before its panels are docked, the canvas is as large as the window.
+            with contextlib.suppress(AssertionError):
+                if client.camera.image_width and client.camera.image_height:
+                    viewports.take(client, client.camera.image_width, client.camera.image_height)
+
+        self.server.on_client_connect(first)
+
+    def _turn(self, client: viser.ClientHandle, camera: Camera) -> None:
+        client.camera.position, client.camera.look_at = camera
+        self._aims[client] = camera
 
     def bind(self, label: str, key: Any, act: Callable[[Any], None]) -> None:
         """Call `act(client)` in viser's event loop when a person presses a key."""
@@ -71,3 +92,8 @@ class PageServer:
                 title, body, auto_close_seconds=8.0 if is_trouble else 3.0,
                 color="red" if is_trouble else "green",
             )  # fmt: skip
+
+
+def _stands(client: viser.ClientHandle, camera: Camera) -> bool:
+    """Say whether a client's camera still is where it was aimed."""
+    return bool(np.allclose(client.camera.position, camera.position, atol=1e-3))

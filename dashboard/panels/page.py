@@ -70,7 +70,7 @@ class Page:
         self.slider.on_update(at_once(self._scrub))
         self._timeline = TimelineView(stage)
         self.scene = Scene(window.server.scene, stage, view.theme, inputs.select)
-        window.aim(self.scene, panels.arrange)
+        window.aim(self.scene, panels)
 
     def set_extent(self, first_step: int, last_step: int) -> None:
         """Let people choose among these steps."""

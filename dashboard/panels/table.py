@@ -114,7 +114,7 @@ def log(theme: Theme, events: Iterable[LogEntry]) -> str:
         for event in events
     )
     return (
-        f'<div data-testid="log" style="font-size:11.5px;color:{css(theme.text)}">'
+        f'<div data-testid="log" style="font-size:11.5px;padding:4px 10px;color:{css(theme.text)}">'
         f"{lines or 'nothing has happened yet'}</div>"
     )
 
