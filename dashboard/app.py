@@ -52,7 +52,9 @@ class Dashboard:
         self.inputs = Inputs(self.server.get_event_loop(), self._changed.set)
         self._window.set_theme(theme)
         gui = self.server.gui
-        self.controls = Controls(gui, self.inputs, source, self.view, self._window.tell)
+        self.controls = Controls(
+            gui, self.inputs, source, self.view, self._window.tell, self.history
+        )
         ExportButtons(gui, self._shown, folder)
         self.failures = PanelFailures()
         self.page = Page(self._window, self.inputs, self.stage, self.view, self.failures)
@@ -173,20 +175,18 @@ class Dashboard:
         view, history, pace = self.view, self.history, self.source.pace()
         rounds = max(1, len(history.at(view.step).cycles))
         extent = Extent(history.first_step, history.last_step, rounds, pace.state == "LOADING")
-        if self.source.live:
+        if self.source.live and pace.state != "ENDED":
             return play_live(view, extent, elapsed_s, pace.state == "PAUSED")
         return play_recorded(view, extent, elapsed_s, self.stage.setup.time_step_s)
 
     def _draw_status(self, frame: StepFrame | None) -> None:
         pace = self.source.pace()
         state = pace.state
-        if not self.source.live:
+        if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
-        self.controls.show_answered(state in ("RUNNING", "PAUSED"))
-        if state in ("RUNNING", "PAUSED"):
-            self.controls.show_paused(state == "PAUSED")
+        waiting = self.controls.show_state(pace, self.view.playing)
         failures = self.failures.sentences()
-        html = status(self.stage, self.view.theme, frame, state, pace.detail, failures)
+        html = status(self.stage, self.view.theme, frame, state, pace.detail, failures, waiting)
         self.page.show("status", self.controls.status, html)
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ viser knows the size of the canvas, which the docked panels make smaller than th
 comes back through a hidden input, as in `bridge.py`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,8 +17,8 @@ _MOST_PIXELS = 20_000
 # An image without a source fails to load as soon as it is there. A window that is being resized is
 # reported once it rests. The newest image alone listens: after a reconnection there is another.
 _SCRIPT = (
-    "const tell=()=>{const i=document.querySelector('label[for=&quot;%s&quot;]')"
-    "?.closest('.mantine-Flex-root').querySelector('input');"
+    "const tell=()=>{const i=[%s].map(id=>document.querySelector(`label[for=&quot;${id}&quot;]`))"
+    ".find(label=>label)?.closest('.mantine-Flex-root').querySelector('input');"
     "if(!i||window.concordSize!==tell)return;"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,"
     "innerWidth+' '+innerHeight+' '+Date.now());"
@@ -29,32 +29,47 @@ _SCRIPT = (
 
 
 class Viewports:
-    """Calls `resized(client, width, height)` in viser's event loop for each new size in pixels."""
+    """Calls `resized(client, width, height)` in viser's event loop for each new size in pixels.
+
+    viser does not mount what is in a minimized panel; so `containers` are several panels of which
+    one is open.
+    """
 
     def __init__(
-        self, gui: viser.GuiApi, resized: Callable[[viser.ClientHandle, int, int], None]
+        self,
+        gui: viser.GuiApi,
+        containers: Sequence[Any],
+        resized: Callable[[viser.ClientHandle, int, int], None],
     ) -> None:
         self._resized = resized
         self._sizes: WeakKeyDictionary[viser.ClientHandle, tuple[int, int]] = WeakKeyDictionary()
-        self._text: Any = gui.add_text("viewport", "")
-        identity = self._text._impl.uuid
-        gui.add_html(
-            f'<style>div:has(>.mantine-Flex-root label[for="{identity}"]){{display:none}}</style>'
-            # In a window below viser's breakpoint its column of panels is narrower than the window.
-            "<style>@media(max-width:36em){div[style*='width: 20em']{width:100%!important}}</style>"
-            f'<img src="data:," style="display:none" onerror="{_SCRIPT % identity}">'
-        )
-        self._text.on_update(at_once(self._hear))
+        texts: list[Any] = []
+        for container in containers:
+            with container:
+                texts.append(gui.add_text("viewport", ""))
+        identities = [text._impl.uuid for text in texts]
+        script = _SCRIPT % ",".join(f"'{identity}'" for identity in identities)
+        for container, text, identity in zip(containers, texts, identities, strict=True):
+            with container:
+                gui.add_html(
+                    f'<style>div:has(>.mantine-Flex-root label[for="{identity}"])'
+                    # In a window below viser's breakpoint its column is narrower than the window.
+                    "{display:none}@media(max-width:36em){"
+                    "div[style*='width: 20em']{width:100%!important}}</style>"
+                    f'<img src="data:," style="display:none" onerror="{script}">'
+                )
+            text.on_update(at_once(self._hear))
 
-    def take(self, client: viser.ClientHandle, width: int, height: int) -> None:
+    def _hear(self, event: Any) -> None:
+        # Every user who can open the page can write any text here.
+        numbers = event.target.value.split()[:2]
+        if len(numbers) == 2 and all(number.isdecimal() for number in numbers):
+            width, height = (int(number[:6]) for number in numbers)
+            if 0 < width <= _MOST_PIXELS and 0 < height <= _MOST_PIXELS:
+                self._take(event.client, width, height)
+
+    def _take(self, client: viser.ClientHandle, width: int, height: int) -> None:
         """Pass a client's size on unless it is known."""
         if self._sizes.get(client) != (width, height):
             self._sizes[client] = (width, height)
             self._resized(client, width, height)
-
-    def _hear(self, event: Any) -> None:
-        numbers = self._text.value.split()[:2]
-        if len(numbers) == 2 and all(number.isdecimal() for number in numbers):
-            width, height = (int(number[:6]) for number in numbers)
-            if 0 < width <= _MOST_PIXELS and 0 < height <= _MOST_PIXELS:
-                self.take(event.client, width, height)

@@ -63,17 +63,8 @@ class PageServer:
             if client not in self._aims or _stands(client, self._aims[client]):
                 self._turn(client, aimed(scene.extent(), self._free[client]))
 
-        # The column of the controls is minimized in a small window, and what is in it does nothing.
-        with panels.bus:
-            viewports = Viewports(self.server.gui, fit)
-
-        def first(client: viser.ClientHandle) -> None:
-            # Before its panels are docked, the canvas is as large as the window.
-            with contextlib.suppress(AssertionError):
-                if client.camera.image_width and client.camera.image_height:
-                    viewports.take(client, client.camera.image_width, client.camera.image_height)
-
-        self.server.on_client_connect(first)
+        # A small window minimizes the column of the controls, and a phone all but that column.
+        Viewports(self.server.gui, (contextlib.nullcontext(), panels.bus), fit)
 
     def _turn(self, client: viser.ClientHandle, camera: Camera) -> None:
         client.camera.position, client.camera.look_at = camera

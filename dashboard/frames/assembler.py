@@ -7,7 +7,7 @@ totals or in ages is true all the same.
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.dashboard.frames.bus_cycles import BusView
+from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from concord.dashboard.frames.scores import fuse, score
@@ -130,7 +130,7 @@ class Assembler:
             cut=self._cut(),
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
-            cycles=cycles,
+            cycles=judged(cycles, stage.heard, ages, alive, events),
             scores=score(stage, truth, self._belief, alive, fused, central),
             events=events,
         )

@@ -24,7 +24,9 @@ class BusCycle(NamedTuple):
 
     `bus` has the schedule of this cycle: settings change while a network runs. `cycle` counts the
     cycles that carry rounds, `bus_cycle` all cycles of the bus. On a bus without time, times are
-    places in the order of slots.
+    places in the order of slots. `missed` are senders whose frame did not reach a neighbour that
+    holds an older one; `rejected` names the nodes that rejected a frame in the step that ends with
+    this cycle, with their reasons.
     """
 
     bus: Bus
@@ -33,6 +35,8 @@ class BusCycle(NamedTuple):
     frames: tuple[Transmission, ...]
     silent: tuple[int, ...]
     payload_bytes: int
+    missed: tuple[int, ...] = ()
+    rejected: tuple[str, ...] = ()
 
 
 class NodeTraffic(NamedTuple):

@@ -57,7 +57,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         cells.append(
             f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
             f'<td style="text-align:left;white-space:nowrap"><span style="color:'
-            f'{css(colour_of(theme, words[node]))}">{_MARKS[words[node]]}</span> '
+            f'{css(colour_of(theme, words[node]))}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
             f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
@@ -90,7 +90,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
 
 
 # A second sign beside the colour.
-_MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
+MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
 
 
 def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> list[int]:
@@ -126,8 +126,9 @@ def status(
     state: str,
     detail: str = "",
     failures: Sequence[str] = (),
+    waiting: Sequence[str] = (),
 ) -> str:
-    """Return the state of the run in a few lines, and the panels that fail.
+    """Return the state of the run in a few lines, the changes that wait, and the panels that fail.
 
     The settings are those of the frame; those of `stage` where there is no frame.
     """
@@ -167,6 +168,12 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
+    if waiting:
+        count = f"{len(waiting)} change{'s' * (len(waiting) > 1)}"
+        failed += (
+            f'<div data-testid="waiting" style="margin-top:5px;font-size:11px">{count} from the '
+            f"next step on: {escape('; '.join(waiting))}</div>"
+        )
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = escape(scenario.network.graph), scenario.rule.name

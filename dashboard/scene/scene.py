@@ -220,12 +220,13 @@ class Scene:
 _NO_LINES = np.zeros((0, 2, 3))
 
 
-def _round_cell(stage: Stage) -> float:
-    """A grid whose cells are a round number of metres."""
-    if stage.picture is not PlantDrawing.PLANE:
-        return 2.0
+def cell_m(stage: Stage) -> float:
+    """Return the width of a cell of the grid: a round number of metres."""
     metres = 2.0 / stage.scale
     power = 10.0 ** np.floor(np.log10(metres))
-    return (
-        float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power) * stage.scale
-    )
+    return float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power)
+
+
+def _round_cell(stage: Stage) -> float:
+    """Return the width of a cell of the grid in units of the scene."""
+    return cell_m(stage) * stage.scale if stage.picture is PlantDrawing.PLANE else 2.0

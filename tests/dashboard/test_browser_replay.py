@@ -92,6 +92,19 @@ def test_pause_and_resume(page: Page):
     assert page.text("step") == step
 
 
+def test_the_end_is_reached_while_the_recording_plays_and_resume_begins_again(page: Page):
+    for go in (lambda: page.press("Go to the end"), lambda: page.key("g")):
+        page.dashboard.inputs.alter(lambda view: view.look_at(5))
+        page.press("Resume")
+        page.until(lambda: page.text("run-state") == "RUNNING")
+        go()
+        page.until(lambda: page.text("step") == "39" and page.text("run-state") == "PAUSED")
+    page.press("Resume")
+    page.until(lambda: page.text("run-state") == "RUNNING" and int(page.text("step")) < 39)
+    page.press("Pause")
+    page.until(lambda: page.text("run-state") == "PAUSED")
+
+
 def test_one_step(page: Page):
     page.press("Step")
     page.until(lambda: page.text("step") == "31")
@@ -320,7 +333,13 @@ def test_exports(page: Page):
     assert colours_of(page.download("Charts (.png)")) > 20
     archive = zipfile.ZipFile(io.BytesIO(page.download("Run folder (.zip)")))
     assert {Path(name).name for name in archive.namelist()} == {"run.mcap", "run.json"}
-    assert colours_of(page.download("Scene (.png)")) > 20
+    picture = imread(io.BytesIO(page.download("Scene (.png)")), format="png")
+    # The ground is opaque, and the title and the legend are written on it.
+    assert (picture.shape[-1] == 3) or (picture[..., 3] == 1).all()
+    assert picture.shape[1] >= 1600
+    ground = picture[-3, -3, :3]
+    for strip in (picture[10:32], picture[-90:]):
+        assert (np.abs(strip[..., :3] - ground).max(-1) > 0.4).sum() > 500
 
 
 def colours_of(picture: bytes) -> int:

@@ -63,6 +63,28 @@ def test_a_past_cycle_is_drawn_with_its_own_timetable_and_to_the_same_scale():
     assert own == pytest.approx([LEFT + scale * f.start_us for f in after.frames], abs=0.1)
 
 
+def test_past_cycles_show_the_frames_that_were_missed_and_rejected():
+    stage, messages = run_of(
+        "target-tracking", nodes=8, steps=12, changes=("3 loss 0.3", "6 corrupt 0.4")
+    )
+    frames = frames_of(stage, messages)
+    assert not any(cycle.missed or cycle.rejected for f in frames[:3] for cycle in f.cycles)
+    past = [cycle for frame in frames for cycle in frame.cycles]
+    # What is held at the end of a step is older than a frame that was missed.
+    for frame in frames:
+        lost = {int(sender) for sender in stage.heard[frame.lost, 1]}
+        assert lost == set(frame.cycles[-1].missed)
+        counted = frame.traffic.rejected.sum()
+        before = frames[frame.step - 1].traffic.rejected.sum() if frame.step else 0
+        assert bool(frame.cycles[-1].rejected) == (counted > before)
+    assert sum(len(cycle.missed) for cycle in past) > 20
+    shown = past[-12:]
+    html = TimelineView(stage).draw(DARK, frames[-1], shown[-2::-1], shown[-1], 0.0, None)
+    marks = re.findall(r'class="missed" d="([^"]*)"', html)
+    assert sum(mark.count("M") for mark in marks) == sum(len(c.missed) for c in shown[:-1])
+    assert html.count('class="rejected"') == sum(bool(c.rejected) for c in shown[:-1]) > 0
+
+
 def test_a_run_that_is_changed_after_a_kill_keeps_the_bus_of_each_cycle():
     stage, messages = run_of(
         "target-tracking",
