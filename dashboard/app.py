@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event as Flag
 
-import numpy as np
 import viser
 
 from concord.dashboard.failures import PanelFailures
@@ -18,20 +17,19 @@ from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.source import Source
-from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
+from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.inputs import Inputs
 from concord.dashboard.panels.controls import Controls
 from concord.dashboard.panels.export_buttons import ExportButtons, Shown
 from concord.dashboard.panels.page import Page
 from concord.dashboard.panels.table import status
-from concord.dashboard.panels.view_controls import MAGNIFIED
 from concord.dashboard.player import Extent, play_live, play_recorded
+from concord.dashboard.scene.magnification import followed_magnification
 from concord.dashboard.theme import DARK, LIGHT, Theme
 from concord.dashboard.view import MANY_NODES, View
 from concord.dashboard.window import PageServer
 
 _SCENE_HZ, _PANEL_HZ = 10.0, 4.0
-_SETTLED_FRAMES = 20
 
 
 class Dashboard:
@@ -53,7 +51,7 @@ class Dashboard:
         self._window.set_theme(theme)
         gui = self.server.gui
         self.controls = Controls(
-            gui, self.inputs, source, self.view, self._window.tell, self.history
+            gui, self.inputs, source, self.view, self._window.tell, self.history, self._window.fit
         )
         ExportButtons(gui, self._shown, folder)
         self.failures = PanelFailures()
@@ -139,12 +137,19 @@ class Dashboard:
         elif self._stale and now_s >= self._next_scene_s:
             self._next_scene_s = now_s + 1 / _SCENE_HZ
             self._stale = not panels_due
+            self._magnify(self.history.at(self.view.step))
             self.page.draw_scene(self.view, self.history)
+            self._window.follow(self.page.scene.target if self.view.follow_target else None)
             if panels_due:
                 self._next_panel_s = now_s + 1 / _PANEL_HZ
                 self.controls.show_selected(self.view.selected)
                 self.page.draw_panels(self.view, self.history, self._expected)
                 self._draw_status(self.history.at(self.view.step))
+
+    def _magnify(self, frame: StepFrame) -> None:
+        if self.view.is_automatic and self.stage.picture is PlantDrawing.PLANE:
+            now = self.view.magnify
+            self.view.magnify = followed_magnification(now, frame, self.stage.scale)
 
     def history_add(self) -> None:
         """Take the frames that have come."""
@@ -153,22 +158,13 @@ class Dashboard:
         frames = (self.failures.attempt("A step", poll) or []) if self.source.live else poll()
         if frames and not len(self.history):
             self.view.step = frames[0].step
-        before = len(self.history)
         self.history.add(frames)
-        # The prior is wide; the usual size of errors is known a little later.
-        if before < _SETTLED_FRAMES <= len(self.history):
-            self._magnify(frames[-1])
         if self.source.stage is not self.stage:
             self.stage = self.source.stage
             self.controls.set_stage(self.stage)
         if frames:
             self.page.set_extent(self.history.first_step, self.history.last_step)
             self._changed.set()
-
-    def _magnify(self, frame: StepFrame) -> None:
-        if self.stage.picture is PlantDrawing.PLANE:
-            self.view.magnify = _magnification(frame, self.stage.scale)
-            self.inputs.show(self.controls.view.magnify, value=f"{self.view.magnify:g}")
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
@@ -208,13 +204,3 @@ def first_view(stage: Stage, theme: Theme, live: bool) -> View:
         pair=(stage.place[0], stage.place[1]) if stage.place else (0, min(1, states - 1)),
         state=stage.score.states[0],
     )
-
-
-def _magnification(frame: StepFrame, scale: float) -> float:
-    """Return how much to enlarge errors: three deviations make a seventh of the map."""
-    width = frame.scores.width[np.isfinite(frame.scores.width)]
-    if not len(width):
-        return 1.0
-    drawn = 3.0 * float(np.median(width)) * scale
-    wanted = SCENE_WIDTH / 7 / max(drawn, 1e-9)
-    return float(max((m for m in MAGNIFIED if m <= wanted), default=1))

@@ -30,6 +30,8 @@ class PageServer:
         with self.access.guarding():
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.gui.set_panel_label("concord")
+        self._scene: Scene | None = None
+        self._target: np.ndarray | None = None
         self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
         self._aims: WeakKeyDictionary[viser.ClientHandle, Camera] = WeakKeyDictionary()
 
@@ -57,14 +59,40 @@ class PageServer:
         )
         camera.fov = FIELD_OF_VIEW_RAD
 
-        def fit(client: viser.ClientHandle, width: int, height: int) -> None:
+        self._scene = scene
+
+        def arrange(client: viser.ClientHandle, width: int, height: int) -> None:
             self._free[client] = panels.arrange(client, width, height)
-            # A camera that the user has turned stays where it is.
-            if client not in self._aims or _stands(client, self._aims[client]):
-                self._turn(client, aimed(scene.extent(), self._free[client]))
+            self._aim_first(client)
 
         # A small window minimizes the column of the controls, and a phone all but that column.
-        Viewports(self.server.gui, (contextlib.nullcontext(), panels.bus), fit)
+        Viewports(self.server.gui, (contextlib.nullcontext(), panels.bus), arrange)
+        # Before a client has told of its camera, the camera cannot be turned.
+        self.server.on_client_connect(self._aim_first)
+
+    def _aim_first(self, client: viser.ClientHandle) -> None:
+        """Aim a camera at the whole map, unless its user has turned it."""
+        if self._scene is None or client not in self._free:
+            return
+        with contextlib.suppress(AssertionError):
+            if client not in self._aims or _stands(client, self._aims[client]):
+                self._turn(client, aimed(self._scene.extent(), self._free[client]))
+
+    def fit(self, client: viser.ClientHandle) -> None:
+        """Aim a client's camera at all that the scene shows now, also outside of the map."""
+        if self._scene is not None and client in self._free:
+            points = np.concatenate([self._scene.extent(), self._scene.shown])
+            self._turn(client, aimed(points, self._free[client]))
+
+    def follow(self, target: np.ndarray | None) -> None:
+        """Move all cameras as the target (3,) has moved since the last call; None ends it."""
+        last, self._target = self._target, target
+        if target is None or last is None or np.allclose(target, last):
+            return
+        for client in self.server.get_clients().values():
+            with contextlib.suppress(AssertionError):
+                # The point that is looked at moves with the position.
+                client.camera.position = client.camera.position + (target - last)
 
     def _turn(self, client: viser.ClientHandle, camera: Camera) -> None:
         client.camera.position, client.camera.look_at = camera

@@ -1,5 +1,6 @@
 """Plots of charts in a browser, thinned to as many points as a screen can show."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -33,6 +34,10 @@ _ZERO: Any = (0.0, 1.0)
 _PEAK, _LOWER_PEAK = 50.0, 25.0
 
 
+# A plot is used again after three others, when no browser shows it any more.
+_HANDLES = 4
+
+
 class Form(NamedTuple):
     """All of a plot but its data: uplot draws another plot when one of these changes."""
 
@@ -56,7 +61,9 @@ class Plot:
         self._gui, self._container, self._height = gui, container, height
         self._chart, self._theme, self._order = chart, theme, order
         self._form: Form | None = None
-        self._handle: Any = None
+        # The last one is shown. viser forgets the zoom of a plot that is hidden; a plot that is
+        # removed may still be sent data.
+        self._handles: deque[Any] = deque()
         self._times, self._columns = np.zeros(0), [np.zeros(0) for _ in chart.lines]
         self._title = titled(chart.name, chart.unit, 0)
 
@@ -95,27 +102,38 @@ class Plot:
             values = uplot.Scale(range=_ZERO)
         elif self._chart.from_zero:
             values = uplot.Scale(auto=True, range=_FROM_ZERO)
-        if self._handle is not None:
-            self._handle.remove()
-        with self._container:
-            self._handle = self._gui.add_uplot(
-                data=data,
-                series=self._series(form.lines),
-                title=form.title,
-                scales={"x": uplot.Scale(time=False), "y": values},
-                axes=self._axes(),
-                # A single line is named by the title.
-                legend=uplot.Legend(show=len(form.lines) > 1, live=False),
-                padding=(8, 14, 0, 0),
-                height=self._height,
-                aspect=2.0,
-                order=self._order,
-            )
+        shown: dict[str, Any] = {
+            "data": data,
+            "series": self._series(form.lines),
+            "title": form.title,
+            "scales": {"x": uplot.Scale(time=False), "y": values},
+            "axes": self._axes(),
+            # A single line is named by the title.
+            "legend": uplot.Legend(show=len(form.lines) > 1, live=False),
+        }
+        self._hide()
+        if len(self._handles) < _HANDLES:
+            with self._container:
+                handle = self._gui.add_uplot(
+                    **shown, padding=(8, 14, 0, 0), height=self._height, aspect=2.0,
+                    order=self._order,
+                )  # fmt: skip
+        else:
+            handle = self._handles.popleft()
+            for name, value in {**shown, "visible": True}.items():
+                setattr(handle, name, value)
+        self._handles.append(handle)
         self._form = form
+
+    def _hide(self) -> None:
+        if self._form is not None:
+            self._handles[-1].visible = False
+        self._form = None
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint the axes and the lines with the next data."""
-        self._theme, self._form = theme, None
+        self._theme = theme
+        self._hide()
 
     def show(self, sample: Sample) -> None:
         """Assign the data; missing values are bridged, and a line without values is left out.
@@ -128,9 +146,7 @@ class Plot:
         self._times, self._columns = sample.times, columns
         present = tuple(i for i, column in enumerate(columns) if np.isfinite(column).any())
         if not present:
-            if self._handle is not None:
-                self._handle.remove()
-            self._handle = self._form = None
+            self._hide()
             return
         drawn = [_bridged(sample.times, columns[index]) for index in present]
         was_logarithmic = self._form is not None and self._form.is_logarithmic
@@ -144,7 +160,7 @@ class Plot:
         form = Form(titled(name, unit, power), present, power, is_logarithmic, is_zero)
         data = (sample.times, *(10.0**-power * column for column in drawn))
         if form == self._form:
-            self._handle.data = data
+            self._handles[-1].data = data
         else:
             self._add(form, data)
 

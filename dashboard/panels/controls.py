@@ -1,5 +1,6 @@
 """The left panel: the state of the run, its pace, and the folders of widgets below."""
 
+from collections.abc import Callable
 from typing import Any
 
 import viser
@@ -30,6 +31,7 @@ class Controls:
         view: View,
         tell: Tell,
         history: FrameHistory,
+        fit: Callable[[viser.ClientHandle], None],
     ) -> None:
         self._inputs, self._source, self._history = inputs, source, history
         # A recording is played by the page; so is the run of a network that has ended.
@@ -42,7 +44,7 @@ class Controls:
         if source.takes_commands:
             self.network = NetworkControls(gui, inputs, self._commands, source.stage)
             self.node = NodeControls(gui, inputs, self._commands, source.stage)
-        self.view = ViewControls(gui, inputs, source.stage, view)
+        self.view = ViewControls(gui, inputs, source.stage, view, fit)
 
     def _run_folder(self, gui: viser.GuiApi, source: Source) -> None:
         with gui.add_folder("Run"):

@@ -46,6 +46,12 @@ class ErrorPosts:
         heights = (0.0, self._HEIGHT)
         return np.concatenate([stage.in_scene(stage.whereabouts, height) for height in heights])
 
+    def target(self, frame: StepFrame) -> np.ndarray | None:
+        return None
+
+    def shown(self, view: View, frame: StepFrame) -> np.ndarray:
+        return np.zeros((0, 3))
+
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
         error, width = frame.scores.error, frame.stage.deviations * frame.scores.width

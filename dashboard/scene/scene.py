@@ -58,6 +58,10 @@ class Scene:
         )
         self.plant = PLANTS[stage.picture](scene, stage)
         self._shown_labels: tuple[object, ...] | None = None
+        self.target: np.ndarray | None = None
+        """Where the target is in the scene (3,), once it is drawn; None of an unknown one."""
+        self.shown = np.zeros((0, 3))
+        """Points of the scene (P, 3) that the newest picture shows beside the nodes."""
 
     def _surroundings(self, theme: Theme) -> None:
         scene = self._scene
@@ -139,6 +143,7 @@ class Scene:
         links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
+        self.target, self.shown = self.plant.target(frame), self.plant.shown(view, frame)
         self._label(view, frame, at)
 
         def assign() -> None:

@@ -85,6 +85,25 @@ def test_the_scale_of_errors_is_logarithmic_while_they_diverge(page: Page):
     assert plots(page)["RMSE of the nodes [m]"]["y"][0] > 0
 
 
+def test_the_scene_of_a_network_that_diverges_can_be_fitted_and_followed(page: Page):
+    go_to(page, 89)
+    page.until(lambda: page.part("/plant/outside")["shown"])
+    assert page.part("/plant/factor")["text"] == "errors × 1"
+    client = next(iter(page.dashboard.server.get_clients().values()))
+    before = client.camera.position
+    page.press("Fit")
+    page.until(lambda: client.camera.position[2] > before[2] + 1)
+    page.widget("Follow target").locator("input").first.click()
+    page.until(lambda: page.dashboard.view.follow_target)
+    target, place = page.dashboard.page.scene.target, client.camera.position
+    go_to(page, 60)
+    page.until(lambda: bool((client.camera.position != place).any()))
+    moved = page.dashboard.page.scene.target - target
+    assert client.camera.position - place == pytest.approx(moved, abs=0.05)
+    page.widget("Follow target").locator("input").first.click()
+    page.until(lambda: not page.dashboard.view.follow_target)
+
+
 def test_the_axes_name_the_time_the_state_and_the_node(page: Page):
     def choose(view: View) -> None:
         view.selected, view.state = 3, 1
