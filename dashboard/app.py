@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event as Flag
 
+import numpy as np
 import viser
 
 from concord.dashboard.failures import PanelFailures
@@ -18,6 +19,7 @@ from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.source import Source
 from concord.dashboard.frames.stage import PlantDrawing, Stage
+from concord.dashboard.frames.verdict import STEPS, Verdict, verdict
 from concord.dashboard.inputs import Inputs
 from concord.dashboard.panels.controls import Controls
 from concord.dashboard.panels.export_buttons import ExportButtons, Shown
@@ -181,9 +183,16 @@ class Dashboard:
         if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
         waiting = self.controls.show_state(pace, self.view.playing)
+        judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         failures = self.failures.sentences()
-        html = status(self.stage, self.view.theme, frame, state, pace.detail, failures, waiting)
+        html = status(
+            self.stage, self.view.theme, frame, state, pace.detail, failures, waiting, judged
+        )
         self.page.show("status", self.controls.status, html)
+
+    def _judge(self) -> Verdict:
+        frames = self.history.until(self.view.step, STEPS)
+        return verdict(frames, self._expected(np.array([frame.time_s for frame in frames])))
 
     def close(self) -> None:
         """End the page."""

@@ -27,6 +27,7 @@ class Panels(NamedTuple):
     log: Any
     nodes: Any
     selected: Any
+    help: Any
     bus: Any
     zoom: Any
     states: Any
@@ -61,6 +62,7 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
     lower = gui.add_panel()
     nodes = lower.add_tab("Nodes", icon.TABLE)
     selected = lower.add_tab("Selected", icon.FOCUS_2)
+    legend = lower.add_tab("Help", icon.HELP)
     bus_panel, zoom_panel = gui.add_panel(), gui.add_panel()
     bus = bus_panel.add_tab("Bus", icon.TIMELINE)
     corner = {"States": icon.WAVE_SINE, "Beliefs": icon.ZOOM_IN}
@@ -102,7 +104,7 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
         return Free(canvas, height, _MARGIN, 2 * _MARGIN, canvas - covered, bottom)
 
     return Panels(
-        charts, state, log, nodes, selected, bus, tabs["Beliefs"], tabs["States"], arrange
+        charts, state, log, nodes, selected, legend, bus, tabs["Beliefs"], tabs["States"], arrange
     )
 
 

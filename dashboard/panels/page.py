@@ -14,6 +14,7 @@ from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.layout import lay_out
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
+from concord.dashboard.panels.help import help_panel
 from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
@@ -60,6 +61,8 @@ class Page:
             self._table = Bridge(gui, nodes, inputs.select, inputs.point)
         with panels.selected:
             self._selected: Any = gui.add_html("")
+        with panels.help:
+            self._help: Any = gui.add_html("")
         with panels.bus:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
@@ -113,6 +116,7 @@ class Page:
             ),
             "States": (self._states, lambda: states(stage, view, history)),
             "Log": (self._log, lambda: log(view.theme, events)),
+            "Help": (self._help, lambda: help_panel(view, frame)),
             "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
         }  # fmt: skip
         drawn = {name: self._attempt(name, make) for name, (_, make) in panels.items()}

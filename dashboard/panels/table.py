@@ -5,33 +5,17 @@ from html import escape
 
 import numpy as np
 
-from concord.dashboard.frames.conditions import (
-    BLIND,
-    DOWN,
-    REJECTED,
-    SEEING,
-    STALE,
-    conditions,
-    oldest,
-)
+from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.theme import Colour, Theme, css, mixed
+from concord.dashboard.frames.verdict import Verdict
+from concord.dashboard.panels.help import HEADINGS
+from concord.dashboard.scene.signs import MARKS, colour_of
+from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 
 MOST_ROWS = 60
 _HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rejected")
-
-
-def colour_of(theme: Theme, condition: str) -> Colour:
-    """Return the colour of a node in that condition."""
-    return {
-        DOWN: theme.down,
-        REJECTED: theme.estimate,
-        STALE: mixed(theme.down, theme.seeing, 0.5),
-        BLIND: theme.blind,
-        SEEING: theme.seeing,
-    }[condition]
 
 
 def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
@@ -73,9 +57,8 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     if len(rows) < stage.nodes:
         more = f"<div>{len(rows)} of {stage.nodes} nodes; choose the order under View</div>"
     sigma = "set" if stage.set_valued else "3σ"
-    heads = "".join(
-        f"<th>{sigma if head == '3σ' else head}</th>" for head in _HEADINGS[: None if told else -1]
-    )
+    shown = [sigma if head == "3σ" else head for head in _HEADINGS[: None if told else -1]]
+    heads = "".join(f'<th title="{HEADINGS[head]}">{head}</th>' for head in shown)
     return (
         f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
         f"white-space:nowrap}}.nodes th{{color:"
@@ -87,10 +70,6 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'
         f"</table>{more}</div>"
     )
-
-
-# A second sign beside the colour.
-MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
 
 
 def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> list[int]:
@@ -127,8 +106,10 @@ def status(
     detail: str = "",
     failures: Sequence[str] = (),
     waiting: Sequence[str] = (),
+    judged: Verdict | None = None,
 ) -> str:
-    """Return the state of the run in a few lines, the changes that wait, and the panels that fail.
+    """Return the state of the run in a few lines, its verdict, the changes that wait, and the
+    panels that fail.
 
     The settings are those of the frame; those of `stage` where there is no frame.
     """
@@ -168,6 +149,13 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
+    if judged is not None:
+        good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
+        pill += (
+            f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
+            f'color:{css(good)}">{escape(judged.word)}</b><div style="font-size:11px;'
+            f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
+        )
     if waiting:
         count = f"{len(waiting)} change{'s' * (len(waiting) > 1)}"
         failed += (

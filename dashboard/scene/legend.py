@@ -3,7 +3,7 @@
 from concord.dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import PlantDrawing
-from concord.dashboard.panels.table import MARKS, colour_of
+from concord.dashboard.scene.signs import MARKS, colour_of
 from concord.dashboard.theme import Colour
 from concord.dashboard.view import View
 

@@ -9,11 +9,11 @@ import viser
 from concord.dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
-from concord.dashboard.panels.table import colour_of
 from concord.dashboard.scene import geometry
 from concord.dashboard.scene.plane import Plane
 from concord.dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
 from concord.dashboard.scene.posts import ErrorPosts
+from concord.dashboard.scene.signs import colour_of
 from concord.dashboard.scene.track import CarTrack
 from concord.dashboard.theme import Theme, linear, mixed
 from concord.dashboard.view import MOST_LABELS, View
