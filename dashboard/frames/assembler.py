@@ -68,6 +68,9 @@ class Assembler:
         self._apply_changes(step.number)
         if self._last is not None and step.number > self._last + 1:
             self._leave_out(step.number - self._last - 1)
+        elif self._last is None and step.number > 0:
+            # A filter that begins here from the prior would seem worse than the nodes.
+            self._listen = None
         self._last = step.number
         return self._drawn(step.number, from_wire(told.truth.state), told)
 

@@ -149,6 +149,11 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
+    if frame is None and state == "PAUSED":
+        pill += (
+            f'<div data-testid="empty" style="margin-top:7px;color:{css(theme.text)}">The page has '
+            "no step yet; press Step, or N, for the next one.</div>"
+        )
     if judged is not None:
         good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
         pill += (

@@ -3,12 +3,15 @@
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 
 from concord.dashboard.app import Dashboard
+from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.source import CommandAnswer, SourceState
 from concord.dashboard.panels.command_words import in_a_sentence
 from concord.dashboard.serve import open_network
+from concord.runtime.whole_steps import WholeSteps
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
@@ -103,6 +106,28 @@ def test_changes_of_a_paused_network_wait_in_words_until_its_next_step(
     assert told[0] == "Kill node 02. It holds from the next step, which waits for Step or Resume."
     source.state = source.state._replace(completed=7)
     assert holds(page, lambda: "waiting" not in page.controls.status.content)
+
+
+def test_a_page_on_a_paused_network_says_that_it_waits_for_a_step(
+    page: Dashboard, source: Scripted
+):
+    source.frames, frames = [], source.frames
+    words = "no step yet; press Step, or N"
+    assert holds(page, lambda: words in page.controls.status.content)
+    # Nothing is drawn in place of what is not known.
+    assert all(not len(chart.times) for chart in page.page.charts.drawn)
+    source.frames = frames
+    assert holds(page, lambda: words not in page.controls.status.content)
+
+
+def test_the_filter_that_hears_everything_is_not_begun_in_the_middle():
+    whole = WholeSteps(STAGE.nodes, STAGE.rounds, STAGE.bus.frame_format)
+    steps = [step for topic, data in MESSAGES for step in whole.take(topic, data)]
+    from_start, from_middle = Assembler(STAGE), Assembler(STAGE)
+    for first, assembler in ((0, from_start), (5, from_middle)):
+        frames = [frame for frame in map(assembler.frame, steps[first:]) if frame is not None]
+        assert len(frames) == len(steps) - first
+        assert all(np.isfinite(frame.scores.central) == (first == 0) for frame in frames)
 
 
 def test_the_slider_shows_the_speed_in_force(page: Dashboard, source: Scripted):
