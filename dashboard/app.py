@@ -19,7 +19,7 @@ from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.source import Source
 from concord.dashboard.frames.stage import PlantDrawing, Stage
-from concord.dashboard.frames.verdict import STEPS, Verdict, verdict
+from concord.dashboard.frames.verdict import STEPS, RunVerdict, verdict
 from concord.dashboard.inputs import Inputs
 from concord.dashboard.panels.controls import Controls
 from concord.dashboard.panels.export_buttons import ExportButtons, Shown
@@ -190,7 +190,7 @@ class Dashboard:
         )
         self.page.show("status", self.controls.status, html)
 
-    def _judge(self) -> Verdict:
+    def _judge(self) -> RunVerdict:
         frames = self.history.until(self.view.step, STEPS)
         return verdict(frames, self._expected(np.array([frame.time_s for frame in frames])))
 

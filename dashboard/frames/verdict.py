@@ -1,4 +1,4 @@
-"""Verdict on the estimates of a network in one word, with its reason, as the page shows it."""
+"""RunVerdict on the estimates of a network in one word, with its reason, as the page shows it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,7 +16,7 @@ _REMARKABLE = 1.5
 _OUTSIDE = 0.5
 
 
-class Verdict(NamedTuple):
+class RunVerdict(NamedTuple):
     """A word, whether it is good news (None: neither), and a sentence that gives the reason."""
 
     word: str
@@ -24,15 +24,15 @@ class Verdict(NamedTuple):
     reason: str
 
 
-def verdict(frames: Sequence[StepFrame], expected: Expected) -> Verdict:
+def verdict(frames: Sequence[StepFrame], expected: Expected) -> RunVerdict:
     """Judge the newest of `frames`, which are at most `STEPS`; `expected` is about these frames."""
     stage, frame = frames[-1].stage, frames[-1]
     if frame.step < stage.score.first_step:
-        return Verdict("SETTLING", None, f"steps count from step {stage.score.first_step} on")
+        return RunVerdict("SETTLING", None, f"steps count from step {stage.score.first_step} on")
     scored = [one.step >= stage.score.first_step for one in frames]
     judged = [one for one, counts in zip(frames, scored, strict=True) if counts]
     if not np.isfinite(frame.scores.rmse):
-        return Verdict("UNKNOWN", None, "the truth is not known, so no error is")
+        return RunVerdict("UNKNOWN", None, "the truth is not known, so no error is")
     if stage.set_valued:
         return _of_sets(frame)
     spread, believed = _rms(judged, "spread"), _believed(judged)
@@ -42,7 +42,7 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> Verdict:
     # The larger of two reasons is told.
     if spread > max(1.0, times) * believed > 0:
         apart = spread / believed
-        return Verdict(
+        return RunVerdict(
             "DISAGREEING", False, f"estimates differ by {apart:.2g} times what the nodes believe"
         )
     reason = f"errors are {times:.2g} times what the nodes believe{_beside_central(judged)}"
@@ -52,18 +52,18 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> Verdict:
     else:
         is_over, is_under = times > _REMARKABLE, times < 1 / _REMARKABLE
     if is_over:
-        return Verdict(f"OVERCONFIDENT × {times:.2g}", False, reason)
+        return RunVerdict(f"OVERCONFIDENT × {times:.2g}", False, reason)
     if is_under:
-        return Verdict("CAUTIOUS", True, reason)
-    return Verdict("CONSISTENT", True, reason)
+        return RunVerdict("CAUTIOUS", True, reason)
+    return RunVerdict("CONSISTENT", True, reason)
 
 
-def _of_sets(frame: StepFrame) -> Verdict:
+def _of_sets(frame: StepFrame) -> RunVerdict:
     """Judge sets: each must hold the truth."""
     outside = frame.alive & (frame.scores.error > frame.scores.width)
     if outside.any():
-        return Verdict("OVERCONFIDENT", False, f"{outside.sum()} sets do not hold the truth")
-    return Verdict("CONSISTENT", True, "no error is larger than its set")
+        return RunVerdict("OVERCONFIDENT", False, f"{outside.sum()} sets do not hold the truth")
+    return RunVerdict("CONSISTENT", True, "no error is larger than its set")
 
 
 def _rms(frames: Sequence[StepFrame], score: str) -> float:

@@ -38,7 +38,7 @@ _PEAK, _LOWER_PEAK = 50.0, 25.0
 _HANDLES = 4
 
 
-class Form(NamedTuple):
+class PlotForm(NamedTuple):
     """All of a plot but its data: uplot draws another plot when one of these changes."""
 
     title: str
@@ -60,7 +60,7 @@ class Plot:
     ) -> None:
         self._gui, self._container, self._height = gui, container, height
         self._chart, self._theme, self._order = chart, theme, order
-        self._form: Form | None = None
+        self._form: PlotForm | None = None
         # The last one is shown. viser forgets the zoom of a plot that is hidden; a plot that is
         # removed may still be sent data.
         self._handles: deque[Any] = deque()
@@ -93,7 +93,7 @@ class Plot:
         )  # fmt: skip
         return across, up
 
-    def _add(self, form: Form, data: tuple[np.ndarray, ...]) -> None:
+    def _add(self, form: PlotForm, data: tuple[np.ndarray, ...]) -> None:
         """Make the plot anew."""
         values: Any = uplot.Scale(auto=True)
         if form.is_logarithmic:
@@ -157,7 +157,7 @@ class Plot:
             name, unit = self._chart.about(sample)
         self._title = titled(name, unit, 0)
         is_zero = not any(column.any() for column in drawn)
-        form = Form(titled(name, unit, power), present, power, is_logarithmic, is_zero)
+        form = PlotForm(titled(name, unit, power), present, power, is_logarithmic, is_zero)
         data = (sample.times, *(10.0**-power * column for column in drawn))
         if form == self._form:
             self._handles[-1].data = data

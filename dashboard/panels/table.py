@@ -8,7 +8,7 @@ import numpy as np
 from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.frames.verdict import Verdict
+from concord.dashboard.frames.verdict import RunVerdict
 from concord.dashboard.panels.help import HEADINGS
 from concord.dashboard.scene.signs import MARKS, colour_of
 from concord.dashboard.theme import Theme, css
@@ -106,7 +106,7 @@ def status(
     detail: str = "",
     failures: Sequence[str] = (),
     waiting: Sequence[str] = (),
-    judged: Verdict | None = None,
+    judged: RunVerdict | None = None,
 ) -> str:
     """Return the state of the run in a few lines, its verdict, the changes that wait, and the
     panels that fail.
@@ -149,24 +149,8 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
-    if frame is None and state == "PAUSED":
-        pill += (
-            f'<div data-testid="empty" style="margin-top:7px;color:{css(theme.text)}">The page has '
-            "no step yet; press Step, or N, for the next one.</div>"
-        )
-    if judged is not None:
-        good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
-        pill += (
-            f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
-            f'color:{css(good)}">{escape(judged.word)}</b><div style="font-size:11px;'
-            f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
-        )
-    if waiting:
-        count = f"{len(waiting)} change{'s' * (len(waiting) > 1)}"
-        failed += (
-            f'<div data-testid="waiting" style="margin-top:5px;font-size:11px">{count} from the '
-            f"next step on: {escape('; '.join(waiting))}</div>"
-        )
+    pill += _verdict(theme, frame is None and state == "PAUSED", judged)
+    failed += _waiting(waiting)
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = escape(scenario.network.graph), scenario.rule.name
@@ -184,3 +168,30 @@ def _bad(theme: Theme, holds: bool) -> str:
 
 def _number(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{value:.3g}"
+
+
+def _verdict(theme: Theme, is_empty: bool, judged: RunVerdict | None) -> str:
+    """Return the verdict, or the reason why there is nothing to judge."""
+    if is_empty:
+        return (
+            f'<div data-testid="empty" style="margin-top:7px;color:{css(theme.text)}">The page has '
+            "no step yet; press Step, or N, for the next one.</div>"
+        )
+    if judged is None:
+        return ""
+    good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
+    return (
+        f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
+        f'color:{css(good)}">{escape(judged.word)}</b><div style="font-size:11px;'
+        f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
+    )
+
+
+def _waiting(changes: Sequence[str]) -> str:
+    if not changes:
+        return ""
+    count = f"{len(changes)} change{'s' * (len(changes) > 1)}"
+    return (
+        f'<div data-testid="waiting" style="margin-top:5px;font-size:11px">{count} from the '
+        f"next step on: {escape('; '.join(changes))}</div>"
+    )

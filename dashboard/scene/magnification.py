@@ -6,8 +6,8 @@ from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import SCENE_WIDTH
 
 MAGNIFIED = (1, 2, 5, 10, 20, 50, 100)
-# What belief and error of the middle node take of the map: as much as is wanted, and how far from
-# that they may be before the factor changes.
+# Belief and error of the middle node take so much of the map; the factor changes when they take
+# less or more than these parts of it.
 _WANTED, _LEAST, _MOST = SCENE_WIDTH / 7, 0.3, 1.3
 
 

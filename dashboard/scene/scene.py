@@ -60,8 +60,7 @@ class Scene:
         self._shown_labels: tuple[object, ...] | None = None
         self.target: np.ndarray | None = None
         """Where the target is in the scene (3,), once it is drawn; None of an unknown one."""
-        self.shown = np.zeros((0, 3))
-        """Points of the scene (P, 3) that the newest picture shows beside the nodes."""
+        self._drawn: tuple[View, StepFrame] | None = None
 
     def _surroundings(self, theme: Theme) -> None:
         scene = self._scene
@@ -125,6 +124,11 @@ class Scene:
         around = np.array([(x, y, 0.0) for x in (-air, air) for y in (-air, air)])
         return (points[:, None] + around).reshape(-1, 3)
 
+    @property
+    def shown(self) -> np.ndarray:
+        """Return the points (P, 3) at which the newest picture has beliefs and the truth."""
+        return np.zeros((0, 3)) if self._drawn is None else self.plant.shown(*self._drawn)
+
     def draw(
         self, view: View, frame: StepFrame, past: Sequence[StepFrame], sender: int
     ) -> Callable[[], None]:
@@ -143,7 +147,7 @@ class Scene:
         links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
-        self.target, self.shown = self.plant.target(frame), self.plant.shown(view, frame)
+        self.target, self._drawn = self.plant.target(frame), (view, frame)
         self._label(view, frame, at)
 
         def assign() -> None:

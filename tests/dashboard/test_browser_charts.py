@@ -98,7 +98,9 @@ def test_the_scene_of_a_network_that_diverges_can_be_fitted_and_followed(page: P
     target, place = page.dashboard.page.scene.target, client.camera.position
     go_to(page, 60)
     page.until(lambda: bool((client.camera.position != place).any()))
-    moved = page.dashboard.page.scene.target - target
+    reached = page.dashboard.page.scene.target
+    assert target is not None and reached is not None
+    moved = reached - target
     assert client.camera.position - place == pytest.approx(moved, abs=0.05)
     page.widget("Follow target").locator("input").first.click()
     page.until(lambda: not page.dashboard.view.follow_target)

@@ -70,7 +70,7 @@ def test_past_cycles_show_the_frames_that_were_missed_and_rejected():
     frames = frames_of(stage, messages)
     assert not any(cycle.missed or cycle.rejected for f in frames[:3] for cycle in f.cycles)
     past = [cycle for frame in frames for cycle in frame.cycles]
-    # What is held at the end of a step is older than a frame that was missed.
+    # A node holds an older share than the frame that it missed.
     for frame in frames:
         lost = {int(sender) for sender in stage.heard[frame.lost, 1]}
         assert lost == set(frame.cycles[-1].missed)

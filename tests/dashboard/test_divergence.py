@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import viser
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import SCENE_WIDTH
@@ -12,6 +11,7 @@ from concord.dashboard.scene.magnification import MAGNIFIED, followed_magnificat
 from concord.dashboard.scene.outside import arrows, edge_of, is_outside
 from concord.dashboard.scene.plane import Plane
 from concord.dashboard.view import View
+from concord.dashboard.window import PageServer
 from concord.filters.gaussian import Gaussian
 from tests.dashboard.runs import frames_of, run_of
 
@@ -69,7 +69,7 @@ def test_arrows_lie_at_the_edge_and_point_to_what_is_outside():
 
 
 def test_an_ellipse_that_covers_the_map_is_an_outline_and_what_is_outside_is_marked():
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    server = PageServer("127.0.0.1", 0).server
     try:
         plane = Plane(server.scene, STAGE)
         view = replace(VIEW, selected=2)
@@ -87,7 +87,7 @@ def test_an_ellipse_that_covers_the_map_is_an_outline_and_what_is_outside_is_mar
         assert plane._outside.visible
         assert len(plane._outside.points) == 3 * (STAGE.nodes + 1)
         assert plane._factor.text == "errors × 1"
-        # What Fit aims at holds all of them.
+        # Fit aims at all of them.
         assert plane.shown(view, frame)[:, 0].max() > SCENE_WIDTH
     finally:
         server.stop()
