@@ -16,13 +16,20 @@ import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio
 from concord.filters.sets.bus_readings import augmented
-from concord.filters.sets.closed_form import closed_form_step
 from concord.filters.sets.cycle import CycleResult, turned
 from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
 from concord.filters.sets.lifted_cycle import AugmentedCycle, DeliveredValues
 from concord.filters.sets.multipliers import Problem
-from concord.filters.sets.recursive_estimator import optimal_step, problem
-from concord.papers.liu2021.runs import HELD, PLANT, G, N, simulate
+from concord.filters.sets.recursive_estimator import problem
+from concord.papers.liu2021.runs import (
+    HELD,
+    PLANT,
+    G,
+    N,
+    printed_fast_step,
+    printed_step,
+    simulate,
+)
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
@@ -42,14 +49,14 @@ def main() -> BenchmarkFigures:
     for cycle in range(CYCLES):
         model = augmented(PLANT, received, cycle)
         values = received.values[cycle]
-        after = optimal_step(kept, model, values).after
+        after = printed_step(kept, model, values).after
         work = {
             "generic": partial(_solve, solvers, "generic", problem(kept, model, kept.factor)),
             "reduced": partial(
                 _solve, solvers, "reduced", problem(kept, model, turned(kept.factor, model))
             ),
-            "exact": partial(_step, optimal_step, 1, kept, model, values),
-            "fast": partial(_step, closed_form_step, FAST_CALLS, kept, model, values),
+            "exact": partial(_step, printed_step, 1, kept, model, values),
+            "fast": partial(_step, printed_fast_step, FAST_CALLS, kept, model, values),
         }
         spent: dict[str, list[float]] = {name: [] for name in METHODS}
         for _ in range(REPETITIONS):

@@ -105,6 +105,12 @@ class MeasurementBus:
                     f"the weight of sensor {sensor} has shape {np.shape(weight)}, but its "
                     f"measurement has {size} entries; give a matrix ({size}, {size})"
                 )
+            least = np.linalg.eigvalsh(weight + weight.T)[0] / 2
+            if least < -1e-12 * np.abs(weight).max():
+                raise ValueError(
+                    f"the weight of sensor {sensor} has the eigenvalue {least:.3g}; give a matrix "
+                    "without negative ones, so that a larger change never bids less"
+                )
 
     @property
     def entries(self) -> int:

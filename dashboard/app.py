@@ -18,20 +18,20 @@ from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.source import Source
-from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
+from concord.dashboard.frames.stage import PlantDrawing, Stage
+from concord.dashboard.frames.verdict import STEPS, RunVerdict, verdict
 from concord.dashboard.inputs import Inputs
 from concord.dashboard.panels.controls import Controls
 from concord.dashboard.panels.export_buttons import ExportButtons, Shown
 from concord.dashboard.panels.page import Page
 from concord.dashboard.panels.table import status
-from concord.dashboard.panels.view_controls import MAGNIFIED
 from concord.dashboard.player import Extent, play_live, play_recorded
+from concord.dashboard.scene.magnification import followed_magnification
 from concord.dashboard.theme import DARK, LIGHT, Theme
 from concord.dashboard.view import MANY_NODES, View
 from concord.dashboard.window import PageServer
 
 _SCENE_HZ, _PANEL_HZ = 10.0, 4.0
-_SETTLED_FRAMES = 20
 
 
 class Dashboard:
@@ -52,7 +52,9 @@ class Dashboard:
         self.inputs = Inputs(self.server.get_event_loop(), self._changed.set)
         self._window.set_theme(theme)
         gui = self.server.gui
-        self.controls = Controls(gui, self.inputs, source, self.view, self._window.tell)
+        self.controls = Controls(
+            gui, self.inputs, source, self.view, self._window.tell, self.history, self._window.fit
+        )
         ExportButtons(gui, self._shown, folder)
         self.failures = PanelFailures()
         self.page = Page(self._window, self.inputs, self.stage, self.view, self.failures)
@@ -70,7 +72,9 @@ class Dashboard:
 
     def _shown(self) -> Shown:
         with self.view.lock:
-            return Shown(self.stage, replace(self.view), self.history, self.page.charts.drawn)
+            history = self.history
+            stage = history.at(self.view.step).stage if len(history) else self.stage
+            return Shown(stage, replace(self.view), history, self.page.charts.drawn)
 
     def _shortcuts(self) -> None:
         bind, controls = self._window.bind, self.controls
@@ -135,12 +139,19 @@ class Dashboard:
         elif self._stale and now_s >= self._next_scene_s:
             self._next_scene_s = now_s + 1 / _SCENE_HZ
             self._stale = not panels_due
+            self._magnify(self.history.at(self.view.step))
             self.page.draw_scene(self.view, self.history)
+            self._window.follow(self.page.scene.target if self.view.follow_target else None)
             if panels_due:
                 self._next_panel_s = now_s + 1 / _PANEL_HZ
                 self.controls.show_selected(self.view.selected)
                 self.page.draw_panels(self.view, self.history, self._expected)
                 self._draw_status(self.history.at(self.view.step))
+
+    def _magnify(self, frame: StepFrame) -> None:
+        if self.view.is_automatic and self.stage.picture is PlantDrawing.PLANE:
+            now = self.view.magnify
+            self.view.magnify = followed_magnification(now, frame, self.stage.scale)
 
     def history_add(self) -> None:
         """Take the frames that have come."""
@@ -149,44 +160,39 @@ class Dashboard:
         frames = (self.failures.attempt("A step", poll) or []) if self.source.live else poll()
         if frames and not len(self.history):
             self.view.step = frames[0].step
-        before = len(self.history)
         self.history.add(frames)
-        # The prior is wide; the usual size of errors is known a little later.
-        if before < _SETTLED_FRAMES <= len(self.history):
-            self._magnify(frames[-1])
         if self.source.stage is not self.stage:
             self.stage = self.source.stage
-            self.page.set_stage(self.stage)
             self.controls.set_stage(self.stage)
         if frames:
             self.page.set_extent(self.history.first_step, self.history.last_step)
             self._changed.set()
-
-    def _magnify(self, frame: StepFrame) -> None:
-        if self.stage.picture is PlantDrawing.PLANE:
-            self.view.magnify = _magnification(frame, self.stage.scale)
-            self.inputs.show(self.controls.view.magnify, value=f"{self.view.magnify:g}")
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
         view, history, pace = self.view, self.history, self.source.pace()
         rounds = max(1, len(history.at(view.step).cycles))
         extent = Extent(history.first_step, history.last_step, rounds, pace.state == "LOADING")
-        if self.source.live:
+        if self.source.live and pace.state != "ENDED":
             return play_live(view, extent, elapsed_s, pace.state == "PAUSED")
         return play_recorded(view, extent, elapsed_s, self.stage.setup.time_step_s)
 
     def _draw_status(self, frame: StepFrame | None) -> None:
         pace = self.source.pace()
         state = pace.state
-        if not self.source.live:
+        if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
-        self.controls.show_answered(state in ("RUNNING", "PAUSED"))
-        if state in ("RUNNING", "PAUSED"):
-            self.controls.show_paused(state == "PAUSED")
+        waiting = self.controls.show_state(pace, self.view.playing)
+        judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         failures = self.failures.sentences()
-        html = status(self.stage, self.view.theme, frame, state, pace.detail, failures)
+        html = status(
+            self.stage, self.view.theme, frame, state, pace.detail, failures, waiting, judged
+        )
         self.page.show("status", self.controls.status, html)
+
+    def _judge(self) -> RunVerdict:
+        frames = self.history.until(self.view.step, STEPS)
+        return verdict(frames, self._expected(np.array([frame.time_s for frame in frames])))
 
     def close(self) -> None:
         """End the page."""
@@ -207,13 +213,3 @@ def first_view(stage: Stage, theme: Theme, live: bool) -> View:
         pair=(stage.place[0], stage.place[1]) if stage.place else (0, min(1, states - 1)),
         state=stage.score.states[0],
     )
-
-
-def _magnification(frame: StepFrame, scale: float) -> float:
-    """Return how much to enlarge errors: three deviations make a seventh of the map."""
-    width = frame.scores.width[np.isfinite(frame.scores.width)]
-    if not len(width):
-        return 1.0
-    drawn = 3.0 * float(np.median(width)) * scale
-    wanted = SCENE_WIDTH / 7 / max(drawn, 1e-9)
-    return float(max((m for m in MAGNIFIED if m <= wanted), default=1))

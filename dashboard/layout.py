@@ -1,4 +1,7 @@
-"""Where the panels are: controls left, charts and tables right, bus below, zoom above the scene."""
+"""Where the panels are: controls left, charts and tables right, bus below, zoom above the scene.
+
+Each browser has a layout of its own, which fits its window.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,6 +12,11 @@ from concord.dashboard.scene.camera import Free
 
 # Edges of the docks; what the scene keeps from the panels, in pixels.
 _DOCK, _MARGIN = 8, 26
+# A docked panel that is minimized leaves a strip.
+_STRIP = 40
+# Below this width viser shows all panels in one column, whatever their places.
+PHONE_WIDTH = 576
+_SMALL_WIDTH, _WIDE_WIDTH = 1100, 1500
 
 
 class Panels(NamedTuple):
@@ -19,10 +27,28 @@ class Panels(NamedTuple):
     log: Any
     nodes: Any
     selected: Any
+    help: Any
     bus: Any
     zoom: Any
     states: Any
-    arrange: Callable[[int, int], Free]
+    arrange: Callable[[viser.ClientHandle, int, int], Free]
+
+
+class Columns(NamedTuple):
+    """Widths of the controls, of the charts, and of the zoomed picture, in pixels."""
+
+    left: int
+    right: int
+    zoom: int
+
+
+def columns_for(width: int) -> Columns:
+    """Return the widths of the panels in a window of so many pixels."""
+    if width < _SMALL_WIDTH:
+        return Columns(_STRIP, 300, 200)
+    if width < _WIDE_WIDTH:
+        return Columns(248, 344, 214)
+    return Columns(272, 384, 262)
 
 
 def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
@@ -36,34 +62,61 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
     lower = gui.add_panel()
     nodes = lower.add_tab("Nodes", icon.TABLE)
     selected = lower.add_tab("Selected", icon.FOCUS_2)
+    legend = lower.add_tab("Help", icon.HELP)
     bus_panel, zoom_panel = gui.add_panel(), gui.add_panel()
     bus = bus_panel.add_tab("Bus", icon.TIMELINE)
     corner = {"States": icon.WAVE_SINE, "Beliefs": icon.ZOOM_IN}
     order = sorted(corner, reverse=states_first)
     tabs = {name: zoom_panel.add_tab(name, corner[name]) for name in order}
 
-    def arrange(width: int, height: int) -> Free:
-        """Fit the panels into a window of that size in pixels; returns what they leave of the
-        scene."""
-        narrow = width < 1500
-        left, right = (248, 344) if narrow else (272, 384)
-        gui.main_panel.dock_left()
-        gui.main_panel.set_width(left)
-        upper.dock_right()
-        upper.set_width(right)
-        lower.dock_below(upper)
-        canvas = max(width - left - right - _DOCK, 360)
+    def arrange(client: viser.ClientHandle, width: int, height: int) -> Free:
+        """Fit the panels into a client's window of that size in pixels; return the part of the
+        window that they leave to the scene."""
+        if width < PHONE_WIDTH:
+            # The column covers the lower half once it is opened.
+            return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, height / 2)
+        columns = columns_for(width)
+        main, right = client.gui.main_panel, _place_of(client, upper)
+        main.dock_left()
+        if width < _SMALL_WIDTH:
+            main.minimize()
+        else:
+            main.expand()
+            main.set_width(columns.left)
+        right.dock_right()
+        right.set_width(columns.right)
+        _place_of(client, lower)._set_position(
+            {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
+        )
+        canvas = max(width - columns.left - columns.right - _DOCK, 360)
         bus_height = _bus_height(canvas)
-        bus_panel.float(x=8, y=-8, width=canvas - 10, height=bus_height)
-        size = 214 if narrow else 262
-        zoom_panel.float(x=-8, y=8, width=size, height=size + 100)
-        covered = size + 8 + _MARGIN
+        _place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
+        size = columns.zoom
+        corner_panel = _place_of(client, zoom_panel)
+        corner_panel.float(x=-8, y=8, width=size, height=size + 100)
+        if width < _SMALL_WIDTH:
+            corner_panel.minimize()
+            covered = _MARGIN
+        else:
+            corner_panel.expand()
+            covered = size + 8 + _MARGIN
         bottom = max(height - 8 - bus_height - _MARGIN, 3 * _MARGIN)
         return Free(canvas, height, _MARGIN, 2 * _MARGIN, canvas - covered, bottom)
 
     return Panels(
-        charts, state, log, nodes, selected, bus, tabs["Beliefs"], tabs["States"], arrange
+        charts, state, log, nodes, selected, legend, bus, tabs["Beliefs"], tabs["States"], arrange
     )
+
+
+def _place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.MainPanelHandle:
+    """Return a handle that places a panel of all browsers in the window of one.
+
+    viser has handles of one scope only; a handle of the main panel is bound to a client and to an
+    identity. The version of viser is pinned, and a browser test fails if that changes.
+    """
+    handle = client.gui.main_panel
+    handle._placement_uuid = panel._placement_uuid
+    return handle
 
 
 def _bus_height(canvas: int) -> int:

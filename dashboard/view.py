@@ -20,7 +20,9 @@ class View:
         step: the one that is shown; `follow` keeps it at the newest.
         playing: a recording runs on by itself, `speed` times as fast as the plant.
         cursor: place within the step, 0..rounds: whole part the cycle, rest the time within it.
-        magnify: how much larger than the network errors and ellipses are drawn.
+        magnify: how much larger than the network errors and ellipses are drawn; `is_automatic`
+            lets it follow the errors.
+        follow_target: the cameras move with the target.
         pair: the two states of the zoomed picture; `state` that of the chart.
     """
 
@@ -34,6 +36,8 @@ class View:
     hovered: int | None = None
     ellipses: str = "selected"
     magnify: float = 1.0
+    is_automatic: bool = True
+    follow_target: bool = False
     sight_lines: bool = True
     sight_range: bool = True
     labels: bool = True
@@ -41,6 +45,16 @@ class View:
     pair: tuple[int, int] = (0, 1)
     state: int = 0
     lock: RLock = field(default_factory=RLock, repr=False)
+
+    def go_to_end(self) -> None:
+        """Show the newest step, and what comes."""
+        self.follow, self.playing = True, False
+
+    def play(self, first_step: int, last_step: int) -> None:
+        """Play on; from the beginning where the last step is shown."""
+        if self.step >= last_step:
+            self.step, self.cursor = first_step, 0.0
+        self.follow, self.playing = False, True
 
     def look_at(self, step: int) -> None:
         """Show this step from its beginning, and stay there."""

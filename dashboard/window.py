@@ -3,15 +3,19 @@
 import contextlib
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakKeyDictionary
 
+import numpy as np
 import rich
 import viser
 
 from concord.dashboard.access import PageAccess
 from concord.dashboard.inputs import at_once
-from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from concord.dashboard.layout import Panels
+from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Camera, Free, aimed
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import Theme
+from concord.dashboard.viewport import Viewports
 
 _FIRST_SIZE = (1600, 900)
 
@@ -26,6 +30,10 @@ class PageServer:
         with self.access.guarding():
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.gui.set_panel_label("concord")
+        self._scene: Scene | None = None
+        self._target: np.ndarray | None = None
+        self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
+        self._aims: WeakKeyDictionary[viser.ClientHandle, Camera] = WeakKeyDictionary()
 
     @property
     def url(self) -> str:
@@ -43,20 +51,52 @@ class PageServer:
             brand_color=(0, 114, 178),
         )
 
-    def aim(self, scene: Scene, arrange: Callable[[int, int], Free]) -> None:
-        """Aim the camera at what the panels leave free, now and for the window of each client."""
-        camera = self.server.initial_camera
-        camera.position, camera.look_at = aimed(scene.extent(), arrange(*_FIRST_SIZE))
+    def aim(self, scene: Scene, panels: Panels) -> None:
+        """Arrange the panels of each client for its window, and aim its camera at the rest."""
+        camera, (width, height) = self.server.initial_camera, _FIRST_SIZE
+        camera.position, camera.look_at = aimed(
+            scene.extent(), Free(width, height, 0, 0, width, height)
+        )
         camera.fov = FIELD_OF_VIEW_RAD
 
-        def fit(client: viser.ClientHandle) -> None:
-            camera = client.camera
-            with contextlib.suppress(AssertionError):
-                if camera.image_width and camera.image_height:
-                    free = arrange(camera.image_width, camera.image_height)
-                    camera.position, camera.look_at = aimed(scene.extent(), free)
+        self._scene = scene
 
-        self.server.on_client_connect(fit)
+        def arrange(client: viser.ClientHandle, width: int, height: int) -> None:
+            self._free[client] = panels.arrange(client, width, height)
+            self._aim_first(client)
+
+        # A small window minimizes the column of the controls, and a phone all but that column.
+        Viewports(self.server.gui, (contextlib.nullcontext(), panels.bus), arrange)
+        # Before a client has told of its camera, the camera cannot be turned.
+        self.server.on_client_connect(self._aim_first)
+
+    def _aim_first(self, client: viser.ClientHandle) -> None:
+        """Aim a camera at the whole map, unless its user has turned it."""
+        if self._scene is None or client not in self._free:
+            return
+        with contextlib.suppress(AssertionError):
+            if client not in self._aims or _stands(client, self._aims[client]):
+                self._turn(client, aimed(self._scene.extent(), self._free[client]))
+
+    def fit(self, client: viser.ClientHandle) -> None:
+        """Aim a client's camera at all that the scene shows now, also outside of the map."""
+        if self._scene is not None and client in self._free:
+            points = np.concatenate([self._scene.extent(), self._scene.shown])
+            self._turn(client, aimed(points, self._free[client]))
+
+    def follow(self, target: np.ndarray | None) -> None:
+        """Move all cameras as the target (3,) has moved since the last call; None ends it."""
+        last, self._target = self._target, target
+        if target is None or last is None or np.allclose(target, last):
+            return
+        for client in self.server.get_clients().values():
+            with contextlib.suppress(AssertionError):
+                # The point that is looked at moves with the position.
+                client.camera.position = client.camera.position + (target - last)
+
+    def _turn(self, client: viser.ClientHandle, camera: Camera) -> None:
+        client.camera.position, client.camera.look_at = camera
+        self._aims[client] = camera
 
     def bind(self, label: str, key: Any, act: Callable[[Any], None]) -> None:
         """Call `act(client)` in viser's event loop when a person presses a key."""
@@ -71,3 +111,8 @@ class PageServer:
                 title, body, auto_close_seconds=8.0 if is_trouble else 3.0,
                 color="red" if is_trouble else "green",
             )  # fmt: skip
+
+
+def _stands(client: viser.ClientHandle, camera: Camera) -> bool:
+    """Say whether a client's camera still is where it was aimed."""
+    return bool(np.allclose(client.camera.position, camera.position, atol=1e-3))

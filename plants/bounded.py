@@ -36,8 +36,33 @@ class BoundedSystem:
         return self.feedthrough(step) @ self.noise_factor(step)
 
     def noise_factor(self, step: int) -> np.ndarray:
-        """F (q, q), lower triangular, with F F' = W."""
-        return np.linalg.cholesky(self.noise_shape(step)).astype(np.float64)
+        """F (q, q) with F F' = W; W may be singular.
+
+        Raises:
+            ValueError: W is not a shape: not symmetric, or with a negative eigenvalue.
+        """
+        shape = self.noise_shape(step)
+        values, vectors = np.linalg.eigh(shape)
+        if not np.allclose(shape, shape.T) or values[0] < -1e-12 * max(values[-1], 0.0):
+            raise ValueError(
+                f"the noise shape W of step {step} has the least eigenvalue {values[0]:.3g}; give "
+                "a symmetric matrix without negative eigenvalues, so that w' W^-1 w <= 1 is a bound"
+            )
+        if values[0] > 1e-12 * values[-1]:
+            return np.linalg.cholesky(shape).astype(np.float64)
+        root: np.ndarray = vectors * np.sqrt(np.maximum(values, 0.0))
+        return root
+
+    def majorant(self) -> "BoundedSystem":
+        """Return the system of the magnitudes, with one noise of size one: what its states and
+        outputs reach bounds those of this system entry by entry, and so bounds their rounding."""
+        return BoundedSystem(
+            transition=lambda step: np.abs(self.transition(step)),
+            noise_input=lambda step: _lengths(self.scaled_noise_input(step)),
+            output=lambda step: np.abs(self.output(step)),
+            feedthrough=lambda step: _lengths(self.scaled_feedthrough(step)),
+            noise_shape=lambda _: np.eye(1),
+        )
 
     def advance(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """States (..., n) one step later, under noise (..., q) in units of its bound."""
@@ -63,3 +88,8 @@ class BoundedSystem:
             outputs.append(self.observe(states[-1], now, step))
             states.append(self.advance(states[-1], now, step))
         return np.stack(states, axis=-2), np.stack(outputs, axis=-2)
+
+
+def _lengths(matrix: np.ndarray) -> np.ndarray:
+    """Lengths of the rows (rows, 1)."""
+    return np.sqrt((matrix**2).sum(-1, keepdims=True))

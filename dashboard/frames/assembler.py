@@ -7,7 +7,7 @@ totals or in ages is true all the same.
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.dashboard.frames.bus_cycles import BusView
+from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from concord.dashboard.frames.scores import fuse, score
@@ -68,6 +68,9 @@ class Assembler:
         self._apply_changes(step.number)
         if self._last is not None and step.number > self._last + 1:
             self._leave_out(step.number - self._last - 1)
+        elif self._last is None and step.number > 0:
+            # A filter that begins here from the prior would seem worse than the nodes.
+            self._listen = None
         self._last = step.number
         return self._drawn(step.number, from_wire(told.truth.state), told)
 
@@ -116,6 +119,7 @@ class Assembler:
         ages = self._ages.copy()
         fused = fuse(self._belief, alive)
         return StepFrame(
+            stage=stage,
             step=number,
             time_s=number * stage.setup.time_step_s,
             truth=truth,
@@ -129,7 +133,7 @@ class Assembler:
             cut=self._cut(),
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
-            cycles=cycles,
+            cycles=judged(cycles, stage.heard, ages, alive, events),
             scores=score(stage, truth, self._belief, alive, fused, central),
             events=events,
         )

@@ -1,9 +1,11 @@
 """Communication cycles as they are drawn: which frame lay where, and which owner was silent."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
 
 from concord.bus.bus import Bus, Transmission
-from concord.dashboard.frames.frame import BusCycle
+from concord.dashboard.frames.frame import BusCycle, LogEntry
 
 
 class BusView:
@@ -31,3 +33,27 @@ class BusView:
 
 def _when(frame: Transmission) -> tuple[float, int]:
     return frame.start_us, frame.frame_id
+
+
+def judged(
+    cycles: Sequence[BusCycle],
+    heard: np.ndarray,
+    ages: np.ndarray,
+    alive: np.ndarray,
+    events: Iterable[LogEntry],
+) -> tuple[BusCycle, ...]:
+    """Return the cycles of a step with the frames that were missed and rejected.
+
+    heard (H, 2): receiver and sender; ages (H,) of what the receiver holds after the step, in
+    cycles, -1 of nothing; alive (N,): the nodes that take part.
+    """
+    receiver, sender = heard.T
+    held = np.where(ages >= 0, cycles[-1].cycle - ages, -1)
+    told: list[BusCycle] = []
+    for cycle in cycles:
+        sent = np.zeros(len(alive), dtype=bool)
+        sent[[frame.node for frame in cycle.frames]] = True
+        missed = sent[sender] & alive[receiver] & (held < cycle.cycle)
+        told.append(cycle._replace(missed=tuple(np.unique(sender[missed]).tolist())))
+    rejected = tuple(event.text for event in events if "rejected" in event.text)
+    return (*told[:-1], told[-1]._replace(rejected=rejected))

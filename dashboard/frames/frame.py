@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus, Transmission
+from concord.dashboard.frames.stage import Stage
 from concord.filters.gaussian import Gaussian
 
 
@@ -23,7 +24,9 @@ class BusCycle(NamedTuple):
 
     `bus` has the schedule of this cycle: settings change while a network runs. `cycle` counts the
     cycles that carry rounds, `bus_cycle` all cycles of the bus. On a bus without time, times are
-    places in the order of slots.
+    places in the order of slots. `missed` are senders whose frame did not reach a neighbour that
+    holds an older one; `rejected` names the nodes that rejected a frame in the step that ends with
+    this cycle, with their reasons.
     """
 
     bus: Bus
@@ -32,6 +35,8 @@ class BusCycle(NamedTuple):
     frames: tuple[Transmission, ...]
     silent: tuple[int, ...]
     payload_bytes: int
+    missed: tuple[int, ...] = ()
+    rejected: tuple[str, ...] = ()
 
 
 class NodeTraffic(NamedTuple):
@@ -64,6 +69,7 @@ class StepFrame(NamedTuple):
     """The network after step `step`.
 
     Attributes:
+        stage: the fixed part of the picture, with the settings that held in this step.
         truth: (n,), NaN where unknown. belief: of every node, (N, n) and (N, n, n); the last known
         of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
         their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
@@ -73,6 +79,7 @@ class StepFrame(NamedTuple):
         rejected a frame.
     """
 
+    stage: Stage
     step: int
     time_s: float
     truth: np.ndarray

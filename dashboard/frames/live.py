@@ -50,11 +50,13 @@ class LiveSituation(msgspec.Struct):
     standing: LiveStanding
     completed: int = 0
     paused: bool = False
+    steps_per_second: float = 0.0
 
 
 class _Pause(msgspec.Struct):
     completed: int = 0
     paused: bool = False
+    steps_per_second: float = 0.0
 
 
 class LiveNetwork:
@@ -89,7 +91,7 @@ class LiveNetwork:
         since = standing.first_step, standing.first_cycle
         settings = dict(standing.settings)
         self._stage = restaged(stage, settings, *since) if settings else stage
-        self._state = _Pause(situation.completed, situation.paused)
+        self._state = _Pause(situation.completed, situation.paused, situation.steps_per_second)
         self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
@@ -151,15 +153,17 @@ class LiveNetwork:
     def pace(self) -> SourceState:
         """Return whether the network runs, and how far it is."""
         steps = self._assembler.stage.setup.scenario.steps
-        told = f"{max(self._state.completed, self._completed)} of {steps} steps"
+        completed, rate = max(self._state.completed, self._completed), self._state.steps_per_second
+        told = f"{completed} of {steps} steps"
         if self._end is not None:
             return SourceState("ENDED", f"{told}; {self._end}")
-        if max(self._state.completed, self._completed) >= steps:
+        if completed >= steps:
             return SourceState("ENDED", told)
         silent_s = time.monotonic() - self._heard_s
         if self._refused or silent_s > _SILENT_S:
             return SourceState("SILENT", f"no answer for {silent_s:.0f} s, after {told}")
-        return SourceState("PAUSED" if self._state.paused else "RUNNING", told)
+        state = "PAUSED" if self._state.paused else "RUNNING"
+        return SourceState(state, told, completed, rate)
 
     def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""
@@ -174,7 +178,10 @@ class LiveNetwork:
             self._refused = True
             return CommandAnswer(False, str(gone))
         if answer.accepted and command["do"] in ("pause", "resume"):
-            self._state = _Pause(self._state.completed, command["do"] == "pause")
+            self._state = msgspec.structs.replace(self._state, paused=command["do"] == "pause")
+        if answer.accepted and command["do"] == "speed":
+            rate = float(command["steps_per_second"])
+            self._state = msgspec.structs.replace(self._state, steps_per_second=rate)
         self._begun_and_done += 1
         return CommandAnswer(answer.accepted, answer.detail)
 

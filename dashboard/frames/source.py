@@ -21,11 +21,14 @@ class CommandAnswer(NamedTuple):
 class SourceState(NamedTuple):
     """State of a network: RUNNING, PAUSED, ENDED, or SILENT while it does not answer.
 
-    A recording is LOADING or RECORDED. `detail` is for people.
+    A recording is LOADING or RECORDED. `detail` is for people. `completed` counts the steps of a
+    network, and `steps_per_s` is the most that it does; 0 is as many as it can.
     """
 
     state: str
     detail: str = ""
+    completed: int = 0
+    steps_per_s: float = 0.0
 
 
 class Source(Protocol):
@@ -71,6 +74,7 @@ class RecordedSource:
     def __init__(self, stage: Stage, recording: Path) -> None:
         self.stage = stage
         self._frames: Iterator[StepFrame] | None = replayed(stage, recording)
+        self._read = 0
 
     def poll(self) -> list[StepFrame]:
         """Return the next few frames of the recording.
@@ -85,11 +89,15 @@ class RecordedSource:
                 self._frames = None
             else:
                 frames.append(frame)
+        self._read += len(frames)
         return frames
 
     def pace(self) -> SourceState:
         """A recording has no pace of its own; the player sets it."""
-        return SourceState("LOADING" if self._frames is not None else "RECORDED")
+        if self._frames is None:
+            return SourceState("RECORDED", f"{self._read} steps")
+        steps = self.stage.setup.scenario.steps
+        return SourceState("LOADING", f"{self._read} of {steps} steps read")
 
     def ask(self, command: dict[str, Any]) -> CommandAnswer:
         """Refuse the command, because no network is running."""

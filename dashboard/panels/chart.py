@@ -36,12 +36,17 @@ class Line(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """A chart of quantities over time; `from_zero` keeps zero in sight."""
+    """A chart of quantities over time.
+
+    `from_zero` keeps zero in sight, unless a peak asks for a logarithmic scale. `about` returns
+    name and unit where they depend on the view.
+    """
 
     name: str
     unit: str
     lines: tuple[Line, ...]
     from_zero: bool = True
+    about: Callable[[Sample], tuple[str, str]] | None = None
 
 
 def of_frames(value: Callable[[StepFrame], float]) -> Column:
@@ -64,3 +69,4 @@ class Drawn(NamedTuple):
     title: str
     times: np.ndarray
     curves: tuple[Curve, ...]
+    is_logarithmic: bool = False

@@ -71,6 +71,8 @@ def _draw(axes: Any, chart: Drawn) -> None:
             axes.plot(
                 chart.times, curve.values, style, color=colour, linewidth=1.3, label=curve.name
             )
+    if chart.is_logarithmic:
+        axes.set_yscale("log")
     axes.set_title(chart.title, fontsize=10)
     axes.set_xlabel("time [s]", fontsize=9)
     axes.tick_params(labelsize=8)

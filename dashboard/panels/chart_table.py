@@ -16,7 +16,7 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
     """Return the charts of the network: error, disagreement, consistency, traffic."""
     return (
         Chart(
-            "RMSE of the nodes",
+            f"RMSE of the nodes{_scored(stage)}",
             stage.score.unit,
             (
                 Line("nodes", lambda t: t.seeing, of_frames(lambda f: f.scores.rmse)),
@@ -26,7 +26,7 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
             ),
         ),
         Chart(
-            "Disagreement of the nodes",
+            f"Disagreement of the nodes{_scored(stage)}",
             stage.score.unit,
             (Line("rms spread", lambda t: t.estimate, of_frames(lambda f: f.scores.spread)),),
         ),
@@ -47,6 +47,14 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
     )
 
 
+def _scored(stage: Stage) -> str:
+    """Return the states that errors are of; nothing where a place says it already."""
+    states = stage.score.states
+    if stage.place or len(states) == len(stage.state_names):
+        return ""
+    return ", " + ", ".join(stage.state_names[state] for state in states)
+
+
 def state_charts() -> tuple[Chart, ...]:
     """Return the charts of the chosen state at the selected node: the state, and its error."""
     return (
@@ -60,6 +68,7 @@ def state_charts() -> tuple[Chart, ...]:
                 Line(_UPPER, lambda t: t.quiet, lambda s: _mean(s) + _reach(s), True),
             ),
             from_zero=False,
+            about=lambda s: _state_name(s, ""),
         ),
         Chart(
             "Error",
@@ -70,8 +79,16 @@ def state_charts() -> tuple[Chart, ...]:
                 Line(_UPPER, lambda t: t.quiet, lambda s: _reach(s), True),
             ),
             from_zero=False,
+            about=lambda s: _state_name(s, "error of "),
         ),
     )
+
+
+def _state_name(sample: Sample, before: str) -> tuple[str, str]:
+    """Return the name of the chosen state at the selected node, and its unit."""
+    stage, view = sample.stage, sample.view
+    node = stage.names[view.selected or 0]
+    return f"{before}{stage.state_names[view.state]}, node {node}", stage.state_units[view.state]
 
 
 def _payload_kilobytes_per_s(stage: Stage) -> Callable[[StepFrame], float]:
@@ -91,4 +108,4 @@ _truth, _mean, _deviation = _of_state(0), _of_state(1), _of_state(2)
 
 
 def _reach(sample: Sample) -> np.ndarray:
-    return sample.stage.deviations * _deviation(sample)
+    return np.array([frame.stage.deviations for frame in sample.frames]) * _deviation(sample)

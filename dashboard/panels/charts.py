@@ -1,7 +1,8 @@
 """Plots of charts in a browser, thinned to as many points as a screen can show."""
 
+from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -16,44 +17,59 @@ from concord.dashboard.view import View
 
 MOST_POINTS = 600
 _LEAST_POWER = -12
+_FONT = "11px system-ui, sans-serif"
 # Titles and legends take no more of a small screen than they need.
 DENSE_STYLE = (
-    "<style>.uplot-container{margin:3px 6px!important}.u-title{font-size:12px!important;"
+    "<style>.uplot-container{margin:2px 6px!important;padding:0!important}"
+    ".u-title{font-size:12px!important;"
     "line-height:15px!important}.u-legend{font-size:10.5px!important;line-height:13px!important;"
     "margin-top:-2px!important}</style>"
 )
 
 # A low chart that ends just below and above its values has room for one number beside it, or none.
 _FROM_ZERO: Any = {"min": {"pad": 0.1, "soft": 0, "mode": 1}, "max": {"pad": 0.1}}
+# uplot draws a constant zero on a scale from 0 to 100.
+_ZERO: Any = (0.0, 1.0)
+# A peak so many times the median of a line asks for a logarithmic scale; a lower one gives it back.
+_PEAK, _LOWER_PEAK = 50.0, 25.0
+
+
+# A plot is used again after three others, when no browser shows it any more.
+_HANDLES = 4
+
+
+class PlotForm(NamedTuple):
+    """All of a plot but its data: uplot draws another plot when one of these changes."""
+
+    title: str
+    lines: tuple[int, ...]
+    power: int
+    is_logarithmic: bool
+    is_zero: bool
 
 
 class Plot:
-    """The uplot of one chart; a line without a single number is left out."""
+    """The uplot of one chart; a line without a single number is left out.
 
-    def __init__(self, gui: viser.GuiApi, chart: Chart, theme: Theme, height: int) -> None:
-        self._chart, self._theme = chart, theme
-        self._power = 0
-        self._present = list(range(len(chart.lines)))
+    A new form is a new plot. viser keeps the zoom of a plot relative to its data, and computes it
+    from the old range where form and data change at once.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, container: Any, chart: Chart, theme: Theme, height: int, order: int
+    ) -> None:
+        self._gui, self._container, self._height = gui, container, height
+        self._chart, self._theme, self._order = chart, theme, order
+        self._form: PlotForm | None = None
+        # The last one is shown. viser forgets the zoom of a plot that is hidden; a plot that is
+        # removed may still be sent data.
+        self._handles: deque[Any] = deque()
         self._times, self._columns = np.zeros(0), [np.zeros(0) for _ in chart.lines]
-        nothing = np.array([0.0, 1.0])
-        scale = (
-            uplot.Scale(auto=True, range=_FROM_ZERO) if chart.from_zero else uplot.Scale(auto=True)
-        )
-        self._handle: Any = gui.add_uplot(
-            data=(nothing, *(nothing * 0 for _ in chart.lines)),
-            series=self._series(),
-            title=titled(chart, 0),
-            scales={"x": uplot.Scale(time=False), "y": scale},
-            axes=self._axes(),
-            legend=uplot.Legend(show=True, live=False),
-            padding=(8, 14, 0, 0),
-            height=height,
-            aspect=2.0,
-        )
+        self._title = titled(chart.name, chart.unit, 0)
 
-    def _series(self) -> tuple[Any, ...]:
+    def _series(self, lines: Sequence[int]) -> tuple[Any, ...]:
         drawn: list[Any] = [uplot.Series(label="time [s]")]
-        for index in self._present:
+        for index in lines:
             line = self._chart.lines[index]
             dash: dict[str, Any] = {"dash": (5, 4)} if line.dashed else {}
             stroke, points = css(line.colour(self._theme)), uplot.Series_Points(show=False)
@@ -65,37 +81,88 @@ class Plot:
     def _axes(self) -> tuple[Any, Any]:
         """Return the axes of time and of the values: their room, and the least space of ticks."""
         line: Any = {"stroke": css(self._theme.faint), "width": 1}
+        ticks: Any = {**line, "size": 4}
+        # The label shares the row of the numbers' descenders.
+        named: Any = {"label": "time [s]", "labelSize": 13, "labelGap": -3, "labelFont": _FONT}
         across, up = (
-            uplot.Axis(size=size, space=space, stroke=css(self._theme.quiet), grid=line, ticks=line)
-            for size, space in ((28, 50), (48, 16))
-        )
+            uplot.Axis(
+                size=size, space=space, gap=3, stroke=css(self._theme.quiet), grid=line,
+                ticks=ticks, font=_FONT, **more,
+            )
+            for size, space, more in ((18, 50, named), (54, 16, {}))
+        )  # fmt: skip
         return across, up
 
+    def _add(self, form: PlotForm, data: tuple[np.ndarray, ...]) -> None:
+        """Make the plot anew."""
+        values: Any = uplot.Scale(auto=True)
+        if form.is_logarithmic:
+            values = uplot.Scale(auto=True, distr=3, log=10)
+        elif form.is_zero:
+            values = uplot.Scale(range=_ZERO)
+        elif self._chart.from_zero:
+            values = uplot.Scale(auto=True, range=_FROM_ZERO)
+        shown: dict[str, Any] = {
+            "data": data,
+            "series": self._series(form.lines),
+            "title": form.title,
+            "scales": {"x": uplot.Scale(time=False), "y": values},
+            "axes": self._axes(),
+            # A single line is named by the title.
+            "legend": uplot.Legend(show=len(form.lines) > 1, live=False),
+        }
+        self._hide()
+        if len(self._handles) < _HANDLES:
+            with self._container:
+                handle = self._gui.add_uplot(
+                    **shown, padding=(8, 14, 0, 0), height=self._height, aspect=2.0,
+                    order=self._order,
+                )  # fmt: skip
+        else:
+            handle = self._handles.popleft()
+            for name, value in {**shown, "visible": True}.items():
+                setattr(handle, name, value)
+        self._handles.append(handle)
+        self._form = form
+
+    def _hide(self) -> None:
+        if self._form is not None:
+            self._handles[-1].visible = False
+        self._form = None
+
     def set_theme(self, theme: Theme) -> None:
-        """Repaint the axes and the lines."""
+        """Repaint the axes and the lines with the next data."""
         self._theme = theme
-        self._handle.axes = self._axes()
-        self._handle.series = self._series()
+        self._hide()
 
     def show(self, sample: Sample) -> None:
-        """Assign the data; missing values are bridged, and a line without values is left out."""
+        """Assign the data; missing values are bridged, and a line without values is left out.
+
+        The plot is not there before the second step: an empty one would show zeros.
+        """
         if len(sample.times) < 2:
             return
         columns = [line.column(sample) for line in self._chart.lines]
         self._times, self._columns = sample.times, columns
-        present = [index for index, column in enumerate(columns) if np.isfinite(column).any()]
-        self._handle.visible = bool(present)
+        present = tuple(i for i, column in enumerate(columns) if np.isfinite(column).any())
         if not present:
+            self._hide()
             return
-        if present != self._present:
-            self._present = present
-            self._handle.series = self._series()
         drawn = [_bridged(sample.times, columns[index]) for index in present]
+        was_logarithmic = self._form is not None and self._form.is_logarithmic
+        is_logarithmic = self._chart.from_zero and asks_for_logarithm(drawn, was_logarithmic)
         power = shown_power(drawn)
-        if power != self._power:
-            self._power = power
-            self._handle.title = titled(self._chart, power)
-        self._handle.data = (sample.times, *(10.0**-power * column for column in drawn))
+        name, unit = self._chart.name, self._chart.unit
+        if self._chart.about is not None:
+            name, unit = self._chart.about(sample)
+        self._title = titled(name, unit, 0)
+        is_zero = not any(column.any() for column in drawn)
+        form = PlotForm(titled(name, unit, power), present, power, is_logarithmic, is_zero)
+        data = (sample.times, *(10.0**-power * column for column in drawn))
+        if form == self._form:
+            self._handles[-1].data = data
+        else:
+            self._add(form, data)
 
     @property
     def drawn(self) -> Drawn:
@@ -104,26 +171,37 @@ class Plot:
             Curve(line.name, line.colour(self._theme), line.dashed, values)
             for line, values in zip(self._chart.lines, self._columns, strict=True)
         )
-        return Drawn(titled(self._chart, 0), self._times, tuple(curves))
+        is_logarithmic = self._form is not None and self._form.is_logarithmic
+        return Drawn(self._title, self._times, tuple(curves), is_logarithmic)
+
+
+def asks_for_logarithm(columns: list[np.ndarray], has_one: bool) -> bool:
+    """Say whether positive values have a peak that leaves no height for one of the lines."""
+    if not all((column > 0).all() for column in columns):
+        return False
+    usual = min(float(np.median(column)) for column in columns)
+    return (
+        max(float(column.max()) for column in columns) > (_LOWER_PEAK if has_one else _PEAK) * usual
+    )
 
 
 def shown_power(columns: list[np.ndarray]) -> int:
     """Return the power of ten, a multiple of three, in which a plot shows values.
 
-    uplot writes at most three decimals, so smaller values need a power. Values below 10^-12 are
-    rounding errors.
+    uplot writes at most three decimals, so smaller values need a power; beside the plot is room for
+    five digits. Values below 10^-12 are rounding errors.
     """
     largest = max(float(np.abs(column).max()) for column in columns)
-    if largest >= 0.02 or largest == 0.0:
+    if 0.02 <= largest < 1e5 or largest == 0.0:
         return 0
     return max(_LEAST_POWER, 3 * int(np.floor(np.log10(largest) / 3)))
 
 
-def titled(chart: Chart, power: int) -> str:
+def titled(name: str, unit: str, power: int) -> str:
     """Return a chart's name with its unit and the power of ten of its values."""
     exponent = f"10{str(power).translate(_RAISED)} " if power else ""
-    of = exponent + ("" if chart.unit == "1" else chart.unit)
-    return f"{chart.name} [{of.strip()}]" if of else chart.name
+    of = exponent + ("" if unit == "1" else unit)
+    return f"{name} [{of.strip()}]" if of else name
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -139,9 +217,17 @@ class Charts:
     """Plots of some charts below each other."""
 
     def __init__(
-        self, gui: viser.GuiApi, charts: Sequence[Chart], theme: Theme, height: int
+        self,
+        gui: viser.GuiApi,
+        container: Any,
+        charts: Sequence[Chart],
+        theme: Theme,
+        height: int,
     ) -> None:
-        self._plots = [Plot(gui, chart, theme, height) for chart in charts]
+        self._plots = [
+            Plot(gui, container, chart, theme, height, place)
+            for place, chart in enumerate(charts, 1)
+        ]
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint."""

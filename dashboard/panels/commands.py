@@ -4,7 +4,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from concord.dashboard.frames.source import CommandAnswer, Source
+from concord.dashboard.frames.source import CommandAnswer, Source, SourceState
+from concord.dashboard.panels.command_words import in_a_sentence
 
 Tell = Callable[[Any, str, str, bool], None]
 """(client, title, body, is trouble): show a short message to a person."""
@@ -17,6 +18,8 @@ class Commands:
         self._source, self.tell = source, tell
         self._thread = ThreadPoolExecutor(1, "commands")
         self._newest: dict[str, dict[str, Any]] = {}
+        # Accepted while the network was paused: at how many completed steps, and the words.
+        self._waiting: list[tuple[int, str]] = []
 
     def soon(self, act: Callable[..., object], *values: Any) -> None:
         """Call `act(*values)` in the thread of the commands."""
@@ -34,13 +37,25 @@ class Commands:
 
     def send(self, command: dict[str, Any], client: Any) -> CommandAnswer:
         """Ask the source, and tell the person how it answered; this call waits for the answer."""
+        before = self._source.pace()
         answer = self._source.ask(command)
-        what = " ".join(str(value) for value in command.values())
+        what = in_a_sentence(command, self._source.stage.names)
         if not answer.accepted:
             self.tell(client, "Refused", answer.detail or what, True)
         elif command["do"] not in ("pause", "resume", "step", "speed"):
-            self.tell(client, "Accepted", what, False)
+            paused = before.state == "PAUSED"
+            when = "It holds from the next step, which waits for Step or Resume." if paused else ""
+            self.tell(client, "Accepted", f"{what[0].upper()}{what[1:]}. {when}", False)
+            if paused:
+                self._waiting = [*self._waiting, (before.completed, what)]
         return answer
+
+    def waiting(self, pace: SourceState) -> list[str]:
+        """Return the changes that hold from the next step of a paused network, in words."""
+        if pace.state == "SILENT":
+            return []
+        self._waiting = [one for one in self._waiting if one[0] == pace.completed]
+        return [what for _, what in self._waiting]
 
     def is_paused(self) -> bool:
         """Say whether the network is paused."""

@@ -1,10 +1,12 @@
 """The left panel: the state of the run, its pace, and the folders of widgets below."""
 
+from collections.abc import Callable
 from typing import Any
 
 import viser
 
-from concord.dashboard.frames.source import Source
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.source import Source, SourceState
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.panels.commands import Commands, Tell
@@ -14,15 +16,27 @@ from concord.dashboard.panels.view_controls import ViewControls
 from concord.dashboard.theme import QUIET_BUTTON
 from concord.dashboard.view import View
 
+_MOST_STEPS_PER_S, _MOST_SPEED = 100, 16.0
+_SPEED_HINT = "1 is as fast as the plant"
+
 
 class Controls:
     """The widgets of the left panel; `network` and `node` are None on a page without commands."""
 
     def __init__(
-        self, gui: viser.GuiApi, inputs: Inputs, source: Source, view: View, tell: Tell
+        self,
+        gui: viser.GuiApi,
+        inputs: Inputs,
+        source: Source,
+        view: View,
+        tell: Tell,
+        history: FrameHistory,
+        fit: Callable[[viser.ClientHandle], None],
     ) -> None:
-        self._inputs, self._live = inputs, source.live
-        self._answered = True
+        self._inputs, self._source, self._history = inputs, source, history
+        # A recording is played by the page; so is the run of a network that has ended.
+        self._plays = not source.live
+        self._answered, self._rate = True, 0.0
         self._commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
         self._run_folder(gui, source)
@@ -30,7 +44,7 @@ class Controls:
         if source.takes_commands:
             self.network = NetworkControls(gui, inputs, self._commands, source.stage)
             self.node = NodeControls(gui, inputs, self._commands, source.stage)
-        self.view = ViewControls(gui, inputs, source.stage, view)
+        self.view = ViewControls(gui, inputs, source.stage, view, fit)
 
     def _run_folder(self, gui: viser.GuiApi, source: Source) -> None:
         with gui.add_folder("Run"):
@@ -38,14 +52,13 @@ class Controls:
             self.one: Any = gui.add_button(
                 "Step", color=QUIET_BUTTON, icon=viser.Icon.PLAYER_TRACK_NEXT
             )
-            top = 100 if self._live else 16
-            self.speed: Any = gui.add_slider(
-                "Steps/s" if self._live else "Speed", 0, top, 1 if self._live else 0.25,
-                0 if self._live else 1.0,
-                hint="0 is as fast as possible" if self._live else "1 is as fast as the plant",
-            )  # fmt: skip
+            if source.live:
+                hint = "0 is as fast as possible"
+                self.speed: Any = gui.add_slider("Steps/s", 0, _MOST_STEPS_PER_S, 1, 0, hint=hint)
+            else:
+                self.speed = gui.add_slider("Speed", 0, _MOST_SPEED, 0.25, 1.0, hint=_SPEED_HINT)
             self.go_live: Any = gui.add_button(
-                "Go live" if self._live else "Go to the end",
+                "Go live" if source.live else "Go to the end",
                 color=QUIET_BUTTON,
                 icon=viser.Icon.BROADCAST,
             )
@@ -58,21 +71,29 @@ class Controls:
         self.go_live.on_click(at_once(lambda _: self.follow()))
 
     def toggle(self, client: Any) -> None:
-        """Pause what runs, resume what is paused."""
-        if self._live:
-            self._commands.soon(self._toggle_network, client)
+        """Pause what runs, resume what is paused; a recording at its end begins again."""
+        if self._plays:
+            self._inputs.alter(self._play_or_rest)
         else:
-            self._inputs.alter(lambda view: setattr(view, "playing", not view.playing))
+            self._commands.soon(self._toggle_network, client)
+
+    def _play_or_rest(self, view: View) -> None:
+        if view.playing:
+            view.playing = False
+        else:
+            history = self._history
+            is_read = self._source.pace().state != "LOADING"
+            view.play(history.first_step, history.last_step if is_read else view.step + 1)
 
     def _toggle_network(self, client: Any) -> None:
         self._commands.send({"do": "resume" if self._commands.is_paused() else "pause"}, client)
 
     def step_once(self, client: Any) -> None:
         """One step more; a network that runs is paused first."""
-        if self._live:
-            self._commands.soon(self._step_network, client)
-        else:
+        if self._plays:
             self._inputs.alter(lambda view: view.look_at(view.step + 1))
+        else:
+            self._commands.soon(self._step_network, client)
 
     def _step_network(self, client: Any) -> None:
         if self._commands.is_paused() or self._commands.send({"do": "pause"}, client).accepted:
@@ -81,24 +102,53 @@ class Controls:
 
     def follow(self) -> None:
         """Show the newest step, and what comes."""
-        self._inputs.alter(lambda view: setattr(view, "follow", True))
+        self._inputs.alter(lambda view: view.go_to_end())
 
     def _set_speed(self, event: Any) -> None:
         rate = float(self.speed.value)
-        if self._live:
+        if self._plays:
+            self._inputs.alter(lambda view: setattr(view, "speed", rate))
+        else:
             command = {"do": "speed", "steps_per_second": rate}
             self._commands.newest_only("speed", command, event.client)
-        else:
-            self._inputs.alter(lambda view: setattr(view, "speed", rate))
 
-    def show_paused(self, paused: bool) -> None:
+    def show_state(self, pace: SourceState, playing: bool) -> list[str]:
+        """Let the widgets show a state of the source; return the changes that wait, in words."""
+        if self._plays:
+            self._show_paused(not playing)
+            return []
+        if pace.state == "ENDED":
+            self._end(playing)
+            return []
+        answered = pace.state in ("RUNNING", "PAUSED")
+        self._show_answered(answered)
+        if answered:
+            self._show_paused(pace.state == "PAUSED")
+            if pace.steps_per_s != self._rate:
+                self._rate = pace.steps_per_s
+                self._inputs.show(self.speed, value=min(round(self._rate), _MOST_STEPS_PER_S))
+        return self._commands.waiting(pace)
+
+    def _end(self, playing: bool) -> None:
+        """Turn the page of a network that has ended into one that plays what it has received."""
+        self._show_answered(False)
+        self._plays = True
+        self._show_paused(not playing)
+        for widget in (self.pause, self.one, self.speed):
+            self._inputs.show(widget, disabled=False, visible=True)
+        self._inputs.show(
+            self.speed, label="Speed", max=_MOST_SPEED, step=0.25, value=1.0, hint=_SPEED_HINT
+        )
+        self._inputs.show(self.go_live, label="Go to the end")
+
+    def _show_paused(self, paused: bool) -> None:
         """Set the button's label."""
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
 
-    def show_answered(self, answered: bool) -> None:
+    def _show_answered(self, answered: bool) -> None:
         """Disable the widgets that command the network while it does not answer."""
-        if not self._live or answered == self._answered:
+        if answered == self._answered:
             return
         self._answered = answered
         widgets = [self.pause, self.one, self.speed]

@@ -10,6 +10,7 @@ import viser
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.scene_picture import LEAST_WIDTH, scene_picture
 from concord.dashboard.scene.camera import Camera
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
@@ -44,16 +45,12 @@ def animated_scene(stage: Stage, view: View, frames: Sequence[StepFrame], camera
         server.stop()
 
 
-def screenshot(client: viser.ClientHandle) -> bytes:
-    """Return the scene as the browser of this client shows it, as PNG."""
-    height, width = client.camera.image_height, client.camera.image_width
-    picture = client.get_render(height=height or 900, width=width or 1600, transport_format="png")
-    # Loading matplotlib takes longer than the picture.
-    from matplotlib.image import imsave
-
-    buffer = io.BytesIO()
-    imsave(buffer, picture, format="png")
-    return buffer.getvalue()
+def screenshot(client: viser.ClientHandle, view: View, frame: StepFrame) -> bytes:
+    """Return the scene as the browser of this client shows it, with its legend, as PNG."""
+    shape = (client.camera.image_height or 900) / (client.camera.image_width or 1600)
+    width = max(client.camera.image_width or 0, LEAST_WIDTH)
+    picture = client.get_render(height=round(shape * width), width=width, transport_format="png")
+    return scene_picture(picture, view, frame)
 
 
 def zipped(folder: Path) -> bytes:

@@ -56,8 +56,11 @@ class ExportButtons:
         self.chart_picture.on_click(self._give_chart_picture)
 
     def _give_picture(self, event: Any) -> None:
-        if event.client is not None:
-            self._give(event.client, self._shown(), "png", screenshot(event.client))
+        shown = self._shown()
+        if event.client is None or not len(shown.history):
+            return
+        picture = screenshot(event.client, shown.view, shown.history.at(shown.view.step))
+        self._give(event.client, shown, "png", picture)
 
     def _give_scene(self, event: Any) -> None:
         shown = self._shown()

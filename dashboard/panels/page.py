@@ -14,6 +14,7 @@ from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.layout import lay_out
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
+from concord.dashboard.panels.help import help_panel
 from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
@@ -43,22 +44,25 @@ class Page:
         view: View,
         failures: PanelFailures,
     ) -> None:
-        self._window, self._inputs, self._stage = window, inputs, stage
+        self._window, self._inputs = window, inputs
         self._attempt = failures.attempt
         self._drawn: dict[str, str] = {}
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
         with panels.charts:
-            gui.add_html(DENSE_STYLE)
-            self.charts = Charts(gui, run_charts(stage), view.theme, _CHART_HEIGHT)
-        with panels.state:
-            self._state_charts = Charts(gui, state_charts(), view.theme, _STATE_CHART_HEIGHT)
+            gui.add_html(DENSE_STYLE, order=0)
+        self.charts = Charts(gui, panels.charts, run_charts(stage), view.theme, _CHART_HEIGHT)
+        self._state_charts = Charts(
+            gui, panels.state, state_charts(), view.theme, _STATE_CHART_HEIGHT
+        )
         with panels.log:
             self._log: Any = gui.add_html("")
         with panels.nodes:
             self._table = Bridge(gui, nodes, inputs.select, inputs.point)
         with panels.selected:
             self._selected: Any = gui.add_html("")
+        with panels.help:
+            self._help: Any = gui.add_html("")
         with panels.bus:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
@@ -69,11 +73,7 @@ class Page:
         self.slider.on_update(at_once(self._scrub))
         self._timeline = TimelineView(stage)
         self.scene = Scene(window.server.scene, stage, view.theme, inputs.select)
-        window.aim(self.scene, panels.arrange)
-
-    def set_stage(self, stage: Stage) -> None:
-        """Draw a network whose settings have changed."""
-        self._stage = stage
+        window.aim(self.scene, panels)
 
     def set_extent(self, first_step: int, last_step: int) -> None:
         """Let people choose among these steps."""
@@ -88,7 +88,7 @@ class Page:
         frame = history.at(view.step)
         cycle = frame.cycles[min(int(view.cursor), len(frame.cycles) - 1)]
         sender, now_us = sender_at(frame, view.cursor)
-        trail = _CAR_TRAIL if self._stage.picture is PlantDrawing.TRACK else TRAIL
+        trail = _CAR_TRAIL if frame.stage.picture is PlantDrawing.TRACK else TRAIL
         tail = history.until(frame.step, trail)
         assign = self._attempt("Scene", lambda: self.scene.draw(view, frame, tail, sender))
 
@@ -106,7 +106,8 @@ class Page:
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
-        stage, frame = self._stage, history.at(view.step)
+        frame = history.at(view.step)
+        stage = frame.stage
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Nodes": (self._table, lambda: node_table(stage, view, frame)),
@@ -115,6 +116,7 @@ class Page:
             ),
             "States": (self._states, lambda: states(stage, view, history)),
             "Log": (self._log, lambda: log(view.theme, events)),
+            "Help": (self._help, lambda: help_panel(view, frame)),
             "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
         }  # fmt: skip
         drawn = {name: self._attempt(name, make) for name, (_, make) in panels.items()}

@@ -16,8 +16,8 @@ def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
     theme, node = view.theme, view.selected
     if node is None:
         return (
-            f'<div style="font-size:12px;color:{css(theme.quiet)}">click a node in the scene, in '
-            "the table or on the bus</div>"
+            f'<div style="font-size:12px;padding:4px 10px;color:{css(theme.quiet)}">'
+            "click a node in the scene, in the table or on the bus</div>"
         )
     rows = []
     for index, (name, unit) in enumerate(zip(stage.state_names, stage.state_units, strict=True)):
@@ -43,8 +43,9 @@ def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
     word = conditions(stage, frame)[node]
     spread = "set" if stage.set_valued else "3σ"
     return (
-        f'<div data-testid="selected" style="font-size:12px;color:{css(theme.text)}"><b>node '
-        f'{escape(stage.names[node])}</b> is {word}<table style="width:100%;text-align:right;'
+        '<div data-testid="selected" style="font-size:12px;padding:4px 10px;color:'
+        f'{css(theme.text)}"><b>node {escape(stage.names[node])}</b> is {word}'
+        f'<table style="width:100%;text-align:right;'
         f'margin:6px 0;font-variant-numeric:tabular-nums"><tr style="color:{css(theme.quiet)}">'
         f"<th>state</th><th>estimate</th><th>{spread}</th><th>error</th>"
         f'<th></th></tr>{"".join(rows)}</table><div style="color:{css(theme.quiet)}">age of what '

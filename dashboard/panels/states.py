@@ -43,7 +43,7 @@ def _row(
     theme, top = view.theme, tall * state
     times = np.array([frame.time_s for frame in frames])
     truth, mean, deviation = state_table(frames, node, state).T
-    reach = stage.deviations * deviation
+    reach = np.array([frame.stage.deviations for frame in frames]) * deviation
     lines = np.stack([truth, mean, mean + reach, mean - reach])
     known = lines[np.isfinite(lines)]
     head = _head(theme, top, tall, stage.state_names[state], stage.state_units[state])

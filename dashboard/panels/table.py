@@ -5,33 +5,17 @@ from html import escape
 
 import numpy as np
 
-from concord.dashboard.frames.conditions import (
-    BLIND,
-    DOWN,
-    REJECTED,
-    SEEING,
-    STALE,
-    conditions,
-    oldest,
-)
+from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.theme import Colour, Theme, css, mixed
+from concord.dashboard.frames.verdict import RunVerdict
+from concord.dashboard.panels.help import HEADINGS
+from concord.dashboard.scene.signs import MARKS, colour_of
+from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 
 MOST_ROWS = 60
 _HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rejected")
-
-
-def colour_of(theme: Theme, condition: str) -> Colour:
-    """Return the colour of a node in that condition."""
-    return {
-        DOWN: theme.down,
-        REJECTED: theme.estimate,
-        STALE: mixed(theme.down, theme.seeing, 0.5),
-        BLIND: theme.blind,
-        SEEING: theme.seeing,
-    }[condition]
 
 
 def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
@@ -57,7 +41,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         cells.append(
             f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
             f'<td style="text-align:left;white-space:nowrap"><span style="color:'
-            f'{css(colour_of(theme, words[node]))}">{_MARKS[words[node]]}</span> '
+            f'{css(colour_of(theme, words[node]))}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
             f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
@@ -73,9 +57,8 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     if len(rows) < stage.nodes:
         more = f"<div>{len(rows)} of {stage.nodes} nodes; choose the order under View</div>"
     sigma = "set" if stage.set_valued else "3σ"
-    heads = "".join(
-        f"<th>{sigma if head == '3σ' else head}</th>" for head in _HEADINGS[: None if told else -1]
-    )
+    shown = [sigma if head == "3σ" else head for head in _HEADINGS[: None if told else -1]]
+    heads = "".join(f'<th title="{HEADINGS[head]}">{head}</th>' for head in shown)
     return (
         f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
         f"white-space:nowrap}}.nodes th{{color:"
@@ -87,10 +70,6 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'
         f"</table>{more}</div>"
     )
-
-
-# A second sign beside the colour.
-_MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
 
 
 def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> list[int]:
@@ -114,7 +93,7 @@ def log(theme: Theme, events: Iterable[LogEntry]) -> str:
         for event in events
     )
     return (
-        f'<div data-testid="log" style="font-size:11.5px;color:{css(theme.text)}">'
+        f'<div data-testid="log" style="font-size:11.5px;padding:4px 10px;color:{css(theme.text)}">'
         f"{lines or 'nothing has happened yet'}</div>"
     )
 
@@ -126,8 +105,14 @@ def status(
     state: str,
     detail: str = "",
     failures: Sequence[str] = (),
+    waiting: Sequence[str] = (),
+    judged: RunVerdict | None = None,
 ) -> str:
-    """Return the state of the run in a few lines, and the panels that fail."""
+    """Return the state of the run in a few lines, its verdict, the changes that wait, and the
+    panels that fail.
+
+    The settings are those of the frame; those of `stage` where there is no frame.
+    """
     colour = {
         "RUNNING": theme.fused,
         "PAUSED": theme.sending,
@@ -141,6 +126,7 @@ def status(
     )
     rows: list[tuple[str, str, str]] = []
     if frame is not None:
+        stage = frame.stage
         unit = stage.score.unit.removeprefix("1")
         rows = [
             ("step", "step", f"{frame.step}"),
@@ -163,6 +149,8 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
+    pill += _verdict(theme, frame is None and state == "PAUSED", judged)
+    failed += _waiting(waiting)
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = escape(scenario.network.graph), scenario.rule.name
@@ -180,3 +168,30 @@ def _bad(theme: Theme, holds: bool) -> str:
 
 def _number(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{value:.3g}"
+
+
+def _verdict(theme: Theme, is_empty: bool, judged: RunVerdict | None) -> str:
+    """Return the verdict, or the reason why there is nothing to judge."""
+    if is_empty:
+        return (
+            f'<div data-testid="empty" style="margin-top:7px;color:{css(theme.text)}">The page has '
+            "no step yet; press Step, or N, for the next one.</div>"
+        )
+    if judged is None:
+        return ""
+    good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
+    return (
+        f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
+        f'color:{css(good)}">{escape(judged.word)}</b><div style="font-size:11px;'
+        f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
+    )
+
+
+def _waiting(changes: Sequence[str]) -> str:
+    if not changes:
+        return ""
+    count = f"{len(changes)} change{'s' * (len(changes) > 1)}"
+    return (
+        f'<div data-testid="waiting" style="margin-top:5px;font-size:11px">{count} from the '
+        f"next step on: {escape('; '.join(changes))}</div>"
+    )

@@ -13,6 +13,7 @@ from concord.dashboard.panels.timeline_marks import (
     WIDTH,
     Axis,
     legend,
+    missed_and_rejected,
     names_of_trains,
     silent_slot,
     slot,
@@ -38,7 +39,6 @@ class TimelineView:
         selected: int | None,
     ) -> str:
         """The panel: `cycle` of `frame` at time `now_us`, and `past` cycles, newest first."""
-        lost = self._lost_senders(frame) if cycle is frame.cycles[-1] else set()
         past = past[:RASTER_ROWS]
         # One scale for all: a cycle from before a change of settings may be longer.
         axis = Axis(max(one.bus.segments()[-1].end_us for one in (cycle, *past)))
@@ -49,15 +49,12 @@ class TimelineView:
             f"<style>.slot{{cursor:pointer}}.slot:hover rect{{stroke:{css(theme.text)};"
             f"stroke-width:2}}</style>",
             _headings(axis, theme, cycle.bus),
-            self._bar(axis, theme, cycle, now_us, selected, lost),
+            self._bar(axis, theme, cycle, now_us, selected),
             _raster(axis, theme, past),
             "</svg>",
             legend(theme, cycle, frame.cycles),
         ]
         return "".join(parts)
-
-    def _lost_senders(self, frame: StepFrame) -> set[int]:
-        return {int(sender) for sender in self._stage.heard[frame.lost, 1]}
 
     def _bar(
         self,
@@ -66,7 +63,6 @@ class TimelineView:
         cycle: BusCycle,
         now_us: float,
         selected: int | None,
-        lost: set[int],
     ) -> str:
         """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
@@ -104,7 +100,7 @@ class TimelineView:
                     frame,
                     state,
                     frame.node == selected,
-                    frame.node in lost,
+                    frame.node in cycle.missed,
                 )
             )
         parts.append(names_of_trains(axis, theme, names, cycle))
@@ -171,4 +167,5 @@ def _raster(axis: Axis, theme: Theme, past: Sequence[BusCycle]) -> str:
         if silent:
             shade = css(mixed(theme.down, theme.panel, share))
             parts.append(f'<path d="{"".join(silent)}" fill="{shade}"/>')
+        parts.append(missed_and_rejected(axis, theme, cycle, y))
     return "".join(parts)

@@ -101,6 +101,25 @@ def silent_slot(
     )
 
 
+def missed_and_rejected(axis: Axis, theme: Theme, cycle: BusCycle, y: float) -> str:
+    """Return the marks of a past cycle: below frames that were missed, beside it of rejections."""
+    path = ""
+    for frame in cycle.frames:
+        if frame.node in cycle.missed:
+            x = axis.x(frame.start_us)
+            wide = max(axis.x(frame.end_us) - x - 0.7, 0.5)
+            path += f"M{x:.1f} {y + ROW - 4.5:g}h{wide:.1f}v2.5h-{wide:.1f}z"
+    marks = f'<path class="missed" d="{path}" fill="{css(theme.down)}"/>' if path else ""
+    if cycle.rejected:
+        x, middle = WIDTH - RIGHT + 4, y + ROW / 2 - 1
+        marks += (
+            f'<path class="rejected" d="M{x - 4:g} {middle:g}l4 -4l4 4l-4 4z" '
+            f'fill="{css(theme.estimate)}"><title>{escape("; ".join(cycle.rejected))}</title>'
+            "</path>"
+        )
+    return marks
+
+
 def legend(theme: Theme, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
     """Return the colours with their meaning, and the facts of the shown cycle and of its step."""
     entries = [

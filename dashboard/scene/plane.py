@@ -6,11 +6,15 @@ import numpy as np
 import viser
 
 from concord.dashboard.frames.frame import StepFrame
-from concord.dashboard.frames.stage import Stage
+from concord.dashboard.frames.stage import SCENE_WIDTH, Stage
 from concord.dashboard.scene import geometry
+from concord.dashboard.scene.outside import arrows, edge_of, is_outside
 from concord.dashboard.scene.plants import HIDDEN, add_lines, fading, paint
 from concord.dashboard.theme import linear, mixed
 from concord.dashboard.view import View
+
+_MOST_FILLED = 0.25
+"""Part of the map that a filled ellipse may cover."""
 
 
 class Plane:
@@ -43,6 +47,12 @@ class Plane:
         self._fused_trail = add_lines(scene, "/plant/fused_trail", 2.2)
         self._sights = add_lines(scene, "/plant/sight", 1.4)
         self._range = add_lines(scene, "/plant/range", 1.4)
+        self._outside = add_lines(scene, "/plant/outside", 3.0)
+        self._edge = edge_of(self.extent())
+        corner = (*self._edge[0], 0.1)
+        self._factor = scene.add_label(
+            "/plant/factor", "", position=corner, anchor="top-left", font_screen_scale=0.85
+        )
 
     def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
         return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
@@ -50,41 +60,63 @@ class Plane:
     def extent(self) -> np.ndarray:
         return self._stage.in_scene(self._stage.whereabouts, 0.15)
 
-    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
-        stage, theme = self._stage, view.theme
-        states = list(stage.place)
+    def target(self, frame: StepFrame) -> np.ndarray | None:
+        truth = frame.truth[list(self._stage.place)]
+        return self._stage.in_scene(truth, 0.25) if np.isfinite(truth).all() else None
+
+    def shown(self, view: View, frame: StepFrame) -> np.ndarray:
+        at, _, _, shown = self._magnified(view, frame)
+        target = self.target(frame)
+        points = at[shown]
+        return points if target is None else np.concatenate([points, target[None]])
+
+    def _magnified(
+        self, view: View, frame: StepFrame
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return where beliefs are drawn (N + 1, 3), half-axes, angles, and which are finite."""
+        stage, states = self._stage, list(self._stage.place)
         truth = frame.truth[states]
-        known = bool(np.isfinite(truth).all())
-        anchor = truth if known else frame.fused.mean[states]
-        mean, cov, shown = self._beliefs(view, frame, states)
+        anchor = truth if np.isfinite(truth).all() else frame.fused.mean[states]
+        mean, cov, shown = self._beliefs(frame, states)
         magnified = anchor + view.magnify * (mean - anchor)
         at = np.where(shown[:, None], stage.in_scene(np.nan_to_num(magnified), 0.12), 0.0)
         # One disc over the other: at one height they would flicker through each other.
         at[-1, 2] -= 0.04
         half, angle = geometry.ellipse_axes(np.where(shown[:, None, None], cov, np.eye(2)))
-        half = view.magnify * stage.deviations * stage.scale * half
-        colours = np.tile(np.array(theme.estimate), (len(mean), 1))
+        return at, view.magnify * frame.stage.deviations * stage.scale * half, angle, shown
+
+    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
+        stage, theme = self._stage, view.theme
+        states = list(stage.place)
+        truth = frame.truth[states]
+        known = bool(np.isfinite(truth).all())
+        at, half, angle, shown = self._magnified(view, frame)
+        colours = np.tile(np.array(theme.estimate), (len(at), 1))
         colours[-1] = theme.fused
         if view.selected is not None:
             colours[view.selected] = theme.selection
         drawn = shown & self._drawn(view)
-        scales = np.full((len(mean), 3), HIDDEN)
+        scales = np.full((len(at), 3), HIDDEN)
         scales[drawn, :2] = half[drawn]
         # Filled: the fused one and the selected; of the others the outline is enough.
-        filled = drawn & (np.arange(len(mean)) >= stage.nodes)
+        filled = drawn & (np.arange(len(at)) >= stage.nodes)
         if view.selected is not None:
             filled[view.selected] = drawn[view.selected]
+        # A filled ellipse that covers the map hides all that is below.
+        filled &= np.pi * half.prod(axis=-1) <= _MOST_FILLED * SCENE_WIDTH**2
+        filled &= half.max(axis=-1) <= SCENE_WIDTH / 2
         scales[drawn & ~filled] = HIDDEN
         rims = geometry.outlines(at[drawn, :2], half[drawn], angle[drawn])
         flat = rims.reshape(-1, 2, 2)
         outlines = np.concatenate([flat, np.full((len(flat), 2, 1), 0.125)], axis=-1)
         quiet = np.where(filled[:, None], colours, mixed(theme.estimate, theme.panel, 0.7))
         rim_colours = np.repeat(quiet[drawn], rims.shape[1], axis=0)[:, None]
-        dots = np.where(shown, 0.075 if len(mean) < 60 else 0.05, HIDDEN)
+        dots = np.where(shown, 0.075 if len(at) < 60 else 0.05, HIDDEN)
         trail = stage.in_scene(np.array([f.truth[states] for f in past]), 0.06)
         fused_trail = stage.in_scene(np.array([f.fused.mean[states] for f in past]), 0.05)
         sights = self._sight_lines(view, frame, truth)
         circle = self._range_circle(view, frame)
+        outside, outside_colours = self._marks_at_edge(view, frame, at, shown)
 
         def assign() -> None:
             self._fill.batched_positions = at.astype(np.float32)
@@ -99,6 +131,8 @@ class Plane:
             paint(self._fused_trail, *fading(fused_trail, theme.fused, theme))
             paint(self._sights, sights, np.array(mixed(theme.seeing, theme.panel, 0.75)))
             paint(self._range, circle, np.array(theme.quiet))
+            paint(self._outside, outside, outside_colours)
+            self._factor.text = f"errors × {view.magnify:g}"
             self._truth.visible = known
             if known:
                 self._truth.position = tuple(stage.in_scene(truth, 0.25))
@@ -107,8 +141,24 @@ class Plane:
 
         return assign
 
+    def _marks_at_edge(
+        self, view: View, frame: StepFrame, at: np.ndarray, shown: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return arrows (A, 2, 3) at the edge towards the beliefs and the truth outside, and their
+        colours (A, 1, 3)."""
+        theme, target = view.theme, self.target(frame)
+        colours = np.tile(np.array(theme.estimate), (len(at), 1))
+        colours[-1] = theme.fused
+        points, painted = at[shown], colours[shown]
+        if target is not None:
+            points = np.concatenate([points, target[None]])
+            painted = np.concatenate([painted, np.array([theme.truth])])
+        out = is_outside(points, self._edge)
+        segments = arrows(points[out], self._edge, 0.14)
+        return segments, np.repeat(painted[out], 3, axis=0)[:, None]
+
     def _beliefs(
-        self, view: View, frame: StepFrame, states: list[int]
+        self, frame: StepFrame, states: list[int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means (N + 1, 2), covariances and which are finite: the nodes', then the fused one."""
         mean = np.concatenate([frame.belief.mean, frame.fused.mean[None]])[:, states]

@@ -27,6 +27,14 @@ class PlantPicture(Protocol):
         """Points of the scene (P, 3) that a picture of the whole must show."""
         ...
 
+    def target(self, frame: StepFrame) -> np.ndarray | None:
+        """Where the target is in the scene (3,); None where it is unknown or has no place."""
+        ...
+
+    def shown(self, view: View, frame: StepFrame) -> np.ndarray:
+        """Return the points of the scene (P, 3) at which truth and beliefs are drawn."""
+        ...
+
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         """Work out the picture; returns what assigns it. `past` ends with `frame`."""
         ...

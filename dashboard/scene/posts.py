@@ -46,9 +46,15 @@ class ErrorPosts:
         heights = (0.0, self._HEIGHT)
         return np.concatenate([stage.in_scene(stage.whereabouts, height) for height in heights])
 
+    def target(self, frame: StepFrame) -> np.ndarray | None:
+        return None
+
+    def shown(self, view: View, frame: StepFrame) -> np.ndarray:
+        return np.zeros((0, 3))
+
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
-        error, width = frame.scores.error, stage.deviations * frame.scores.width
+        error, width = frame.scores.error, frame.stage.deviations * frame.scores.width
         top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
         units = self._HEIGHT / top if top > 0 else 1.0
         places = self.node_places(frame, past)

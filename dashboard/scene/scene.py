@@ -9,11 +9,11 @@ import viser
 from concord.dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
-from concord.dashboard.panels.table import colour_of
 from concord.dashboard.scene import geometry
 from concord.dashboard.scene.plane import Plane
 from concord.dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
 from concord.dashboard.scene.posts import ErrorPosts
+from concord.dashboard.scene.signs import colour_of
 from concord.dashboard.scene.track import CarTrack
 from concord.dashboard.theme import Theme, linear, mixed
 from concord.dashboard.view import MOST_LABELS, View
@@ -58,6 +58,9 @@ class Scene:
         )
         self.plant = PLANTS[stage.picture](scene, stage)
         self._shown_labels: tuple[object, ...] | None = None
+        self.target: np.ndarray | None = None
+        """Where the target is in the scene (3,), once it is drawn; None of an unknown one."""
+        self._drawn: tuple[View, StepFrame] | None = None
 
     def _surroundings(self, theme: Theme) -> None:
         scene = self._scene
@@ -121,6 +124,11 @@ class Scene:
         around = np.array([(x, y, 0.0) for x in (-air, air) for y in (-air, air)])
         return (points[:, None] + around).reshape(-1, 3)
 
+    @property
+    def shown(self) -> np.ndarray:
+        """Return the points (P, 3) at which the newest picture has beliefs and the truth."""
+        return np.zeros((0, 3)) if self._drawn is None else self.plant.shown(*self._drawn)
+
     def draw(
         self, view: View, frame: StepFrame, past: Sequence[StepFrame], sender: int
     ) -> Callable[[], None]:
@@ -139,6 +147,7 @@ class Scene:
         links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
+        self.target, self._drawn = self.plant.target(frame), (view, frame)
         self._label(view, frame, at)
 
         def assign() -> None:
@@ -220,12 +229,13 @@ class Scene:
 _NO_LINES = np.zeros((0, 2, 3))
 
 
-def _round_cell(stage: Stage) -> float:
-    """A grid whose cells are a round number of metres."""
-    if stage.picture is not PlantDrawing.PLANE:
-        return 2.0
+def cell_m(stage: Stage) -> float:
+    """Return the width of a cell of the grid: a round number of metres."""
     metres = 2.0 / stage.scale
     power = 10.0 ** np.floor(np.log10(metres))
-    return (
-        float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power) * stage.scale
-    )
+    return float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power)
+
+
+def _round_cell(stage: Stage) -> float:
+    """Return the width of a cell of the grid in units of the scene."""
+    return cell_m(stage) * stage.scale if stage.picture is PlantDrawing.PLANE else 2.0

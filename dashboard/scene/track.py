@@ -64,6 +64,12 @@ class CarTrack:
         flat = [(x, y) for x in (-wide, wide) for y in (-deep, deep)]
         return np.array([(x, y, z) for x, y in flat for z in (0.0, self._ABOVE)])
 
+    def target(self, frame: StepFrame) -> np.ndarray | None:
+        return None
+
+    def shown(self, view: View, frame: StepFrame) -> np.ndarray:
+        return np.zeros((0, 3))
+
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         theme = view.theme
         way, ways = self._ways(past)

@@ -8,6 +8,7 @@ become the cycle of `concord.filters.sets.cycle` and the evidence of
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from concord.filters.sets.evidence import (
     BoundedMotion,
@@ -19,6 +20,7 @@ from concord.filters.sets.evidence import (
 from concord.filters.sets.lifted_cycle import (
     AugmentedCycle,
     DeliveredValues,
+    LiftedCycle,
     LinearBoundedSystem,
     WeightsAtStep,
     augment,
@@ -51,28 +53,51 @@ def augmented(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> Au
 def _excess(
     plant: MeasuredPlant, weights: np.ndarray, received: DeliveredValues, cycle: int
 ) -> np.ndarray:
-    """By how much (...) a loser's weighted squared change may be above the winner's."""
+    """By how much (...) a loser's weighted squared change may be above the winner's.
+
+    0 where no winner was received.
+    """
     if not len(weights):
         return np.zeros(received.winner.shape[:-1])
     change = received.values[..., cycle, plant.static_outputs :] - received.held[..., cycle, :]
     winner = received.winner[..., cycle, None]
     largest = np.take_along_axis(weights * change**2, winner, -1)[..., 0]
-    return np.maximum(received.limit[..., cycle] - largest, 0.0)
+    excess = np.maximum(received.limit[..., cycle] - largest, 0.0)
+    return np.where(received.winner[..., cycle] < 0, 0.0, excess)
 
 
 def cycle_evidence(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> StepReadings:
     """A cycle as one step: of x at its beginning, what becomes of x in its g steps (g n,)."""
     lifted = lift(plant.system, plant.static_outputs, plant.weights, cycle)
-    values = received.values[..., cycle, :]
-    outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape))
-    return bus_evidence(
-        BoundedMotion(lifted.states, lifted.states_noise),
-        outputs,
-        plant.static_outputs,
-        lifted.weights,
+    return lifted_evidence(
+        lifted,
+        received.values[..., cycle, :],
         received.held[..., cycle, :],
         received.winner[..., cycle],
         received.limit[..., cycle],
+    )
+
+
+def lifted_evidence(
+    lifted: LiftedCycle,
+    values: np.ndarray,
+    held: np.ndarray,
+    winner: NDArray[np.int_],
+    limit: np.ndarray,
+) -> StepReadings:
+    """The same of a cycle in which `values` (..., m) came; the others as in `DeliveredValues`."""
+    reached = lifted.majorant or lifted
+    moved = BoundedMotion(reached.states, reached.states_noise)
+    seen = BoundedMotion(reached.outputs, reached.outputs_noise)
+    outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape), seen)
+    return bus_evidence(
+        BoundedMotion(lifted.states, lifted.states_noise, moved),
+        outputs,
+        values.shape[-1] - len(lifted.weights),
+        lifted.weights,
+        held,
+        winner,
+        limit,
     )
 
 

@@ -12,23 +12,31 @@ import numpy as np
 
 from concord.filters.lanes import join_columns
 from concord.filters.linalg import multiply
+from concord.filters.sets.criterion import Criterion
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
     half_widths,
     is_lost,
     lose,
-    rounding_bound,
     squared,
 )
 from concord.filters.sets.lifted_cycle import AugmentedCycle
+from concord.filters.sets.rounding import (
+    RANK_TOLERANCE,
+    magnitudes,
+    rounding_bound,
+    row_units,
+)
 
 
 class CycleResult(NamedTuple):
-    """Result of a filter for one cycle: the ellipsoid after it, and the feedback L (..., N, m)."""
+    """Result of a filter for one cycle: the ellipsoid after it, the feedback L (..., N, m), and the
+    duality gap (...) relative to the trace; NaN of a filter that solves no programme."""
 
     after: Ellipsoid
     gain: np.ndarray
+    gap: np.ndarray
 
 
 class Unknowns(NamedTuple):
@@ -36,6 +44,39 @@ class Unknowns(NamedTuple):
 
     image: np.ndarray
     known: np.ndarray
+
+
+def heard(cycle: AugmentedCycle, received: np.ndarray) -> tuple[AugmentedCycle, np.ndarray]:
+    """The cycle and the values (..., m) with rows that say nothing, 0 = 0, for values that are NaN.
+
+    A lost frame leaves a prediction. `winner` -1 marks a dynamic frame that no node has heard.
+    """
+    missing = np.isnan(received)
+    if not missing.any():
+        return cycle, received
+    output = np.where(missing[..., None], 0.0, cycle.output)
+    output_noise = np.where(missing[..., None, None], 0.0, cycle.output_noise)
+    values = np.where(missing, 0.0, received)
+    return cycle._replace(output=output, output_noise=output_noise), values
+
+
+def check_sizes(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> None:
+    """Refuse an ellipsoid or received values that do not fit the cycle.
+
+    Raises:
+        ValueError: naming the sizes.
+    """
+    outputs, size = cycle.output.shape[-2:]
+    if before.centre.shape[-1] != size or before.factor.shape[-2] != size:
+        raise ValueError(
+            f"an ellipsoid with centre {before.centre.shape} and factor {before.factor.shape} for "
+            f"{size} augmented states; give the states of all steps of a cycle and the held values"
+        )
+    if received.shape[-1] != outputs:
+        raise ValueError(
+            f"{received.shape[-1]} received values for {outputs} outputs; give one for each, NaN "
+            "where a frame was lost"
+        )
 
 
 def unknowns(position: np.ndarray, cycle: AugmentedCycle) -> Unknowns:
@@ -63,18 +104,52 @@ def turned(factor: np.ndarray, cycle: AugmentedCycle) -> np.ndarray:
     return position
 
 
+class Proof(NamedTuple):
+    """Proof of a filter for one cycle.
+
+    Attributes:
+        factor, gain: (..., N, d) around the error that is left under the feedback (..., N, m).
+        known, seen: (..., m, d), the received values as maps of a theta that is at most 1 long,
+            and the pseudo-inverse of this map.
+        gap: as in `CycleResult`.
+        uncut: half-widths (..., N) without the feedback.
+    """
+
+    factor: np.ndarray
+    gain: np.ndarray
+    known: np.ndarray
+    seen: np.ndarray
+    gap: np.ndarray
+    uncut: np.ndarray
+
+
 def follow(
     before: Ellipsoid,
     cycle: AugmentedCycle,
     received: np.ndarray,
-    factor: np.ndarray,
-    gain: np.ndarray,
+    proof: Proof,
+    criterion: Criterion,
 ) -> CycleResult:
-    """(17) and the shape that was found, grown by the rounding of the whole step."""
+    """(17) and the shape that was found, grown by the rounding of the whole step.
+
+    NaN in lanes in which no error within the bounds explains what was received.
+    """
     innovation = received - multiply(cycle.output, before.centre)
-    centre = multiply(cycle.transition, before.centre) + multiply(gain, innovation)
-    after = grow(Ellipsoid(centre, factor), _rounding(before, cycle, received, gain))
-    return CycleResult(lose(after, is_lost(after)), gain)
+    centre = multiply(cycle.transition, before.centre) + multiply(proof.gain, innovation)
+    of_outputs, margin = _rounding(before, cycle, received, proof.gain)
+    after = grow(Ellipsoid(centre, proof.factor), margin, criterion, proof.uncut)
+    lost = is_lost(after) | _contradicts(proof, innovation, of_outputs)
+    return CycleResult(lose(after, lost), proof.gain, np.where(lost, np.nan, proof.gap))
+
+
+def shared(share: np.ndarray, seen: int, size: int, samples: int) -> np.ndarray:
+    """Factors (..., size) that make every possible (u, v) at most 1 long.
+
+    share: a (...) of u, the first `seen` entries; the g samples v, all in their balls, have 1 - a.
+    """
+    first = np.arange(size) < seen
+    radius = np.where(first, 1.0, np.sqrt(samples)) * np.sqrt(1.0 + rounding_bound(size))
+    return radius / np.sqrt(np.where(first, share[..., None], 1.0 - share[..., None]))
 
 
 def flat(noise: np.ndarray) -> np.ndarray:
@@ -97,16 +172,27 @@ def _without_constant(matrix: np.ndarray) -> np.ndarray:
 
 def _rounding(
     before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray, gain: np.ndarray
-) -> np.ndarray:
-    """Half-widths (..., N) within which truth and filter, both rounded, part from their equations.
-
-    Every entry is given the largest, for a cycle's last step multiplies the errors of the first.
-    """
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half-widths (..., m) and (..., N) within which outputs and states, of truth and filter, both
+    rounded, part from their equations."""
+    of = cycle.majorant or cycle
     reach = np.abs(before.centre) + half_widths(before)
-    noise = np.sqrt((cycle.noise**2).sum(-1)).sum(-1)
-    output_noise = np.sqrt((cycle.output_noise**2).sum(-1)).sum(-1)
-    outputs = multiply(np.abs(cycle.output), reach) + output_noise + np.abs(received)
-    states = multiply(np.abs(cycle.transition), reach) + noise + multiply(np.abs(gain), outputs)
-    terms = cycle.transition.shape[-1] + cycle.noise[0, ...].size
-    largest = rounding_bound(terms) * states.max(-1, keepdims=True)
-    return np.broadcast_to(largest, states.shape)
+    outputs = magnitudes(of.output, of.output_noise, reach) + np.abs(received)
+    states = magnitudes(of.transition, of.noise, reach) + multiply(np.abs(gain), outputs)
+    bound = rounding_bound(cycle.transition.shape[-1] + cycle.noise[0, ...].size)
+    return bound * outputs, bound * states
+
+
+def _contradicts(proof: Proof, innovation: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Whether (...) no theta at most 1 long explains an innovation (..., m) to within an error."""
+    shortest = multiply(proof.seen, innovation)
+    slack = np.sqrt((multiply(np.abs(proof.seen), error) ** 2).sum(-1))
+    too_long = np.sqrt((shortest**2).sum(-1)) > 1.0 + slack + RANK_TOLERANCE
+    # The part that no theta reaches, however long, is left over.
+    units = row_units(proof.known)
+    seen = (proof.known != 0.0).any(-1)
+    left = np.abs(innovation - multiply(proof.known, shortest)) / units
+    allowed = np.where(seen, error / units, 0.0)
+    allowed = np.sqrt((allowed**2).sum(-1, keepdims=True)) + RANK_TOLERANCE * left.shape[-1]
+    beside = np.where(seen, left > 2.0 * allowed, np.abs(innovation) > error)
+    return np.asarray(too_long | beside.any(-1))

@@ -2,19 +2,22 @@
 
 An ellipsoid is kept as its centre and a factor, never as an inverse shape: a flat one (a state that
 is known exactly in some direction) is as good as any other. A function that computes a new
-ellipsoid grows it by a bound on its own rounding (`rounding_bound`, `grow`). The result therefore
-holds the true state and not only the state of exact arithmetic.
+ellipsoid grows it by a bound on its own rounding (`rounding.py`, `grow`). The result therefore
+holds the true state and not only the state of exact arithmetic. No function mixes the units of the
+states: with x' = T x for a diagonal T, the sets are T times as wide, and otherwise the same.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from concord.filters.lanes import join_columns
 from concord.filters.linalg import multiply
+from concord.filters.sets.criterion import Criterion, unit_free
+from concord.filters.sets.rounding import magnitudes, rounding_bound, row_units
 
-UNIT_ROUNDOFF = 2.0**-53
+# A state that is known better than it is rounded widens the others by no larger part (`grow`).
+_MOST_SHARE = 2.0**-16
 
 
 class Ellipsoid(NamedTuple):
@@ -29,8 +32,11 @@ class Ellipsoid(NamedTuple):
 
 def from_shape(centre: np.ndarray, shape: np.ndarray) -> Ellipsoid:
     """The ellipsoid with a shape matrix (..., n, n), which may be singular; factor (..., n, n)."""
-    values, vectors = np.linalg.eigh(shape)
-    return Ellipsoid(centre, vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+    widths = np.sqrt(np.diagonal(shape, axis1=-2, axis2=-1))
+    units = np.where(widths > 0.0, widths, 1.0)
+    values, vectors = np.linalg.eigh(shape / (units[..., :, None] * units[..., None, :]))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return Ellipsoid(centre, units[..., None] * root)
 
 
 def shape_matrix(ellipsoid: Ellipsoid) -> np.ndarray:
@@ -51,13 +57,17 @@ def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
     """
     lost = is_lost(ellipsoid)
     factor = np.where(lost[..., None, None], 0.0, ellipsoid.factor)
+    # A state that is known exactly says yes or no; its row is no part of the other directions.
+    exact = np.logical_not(factor.any(-1))
+    units = row_units(factor)
+    factor = join_columns(factor / units[..., None], exact[..., None] * np.eye(factor.shape[-2]))
     left, singular, _ = np.linalg.svd(factor, full_matrices=True)
-    along = multiply(left.mT, point - ellipsoid.centre)
-    flat = np.zeros(along.shape)
-    flat[..., : singular.shape[-1]] = singular
+    offset = (point - ellipsoid.centre) / units
+    along = multiply(left.mT, np.where(exact, 0.0, offset))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ratio = np.where((flat == 0.0) & (along == 0.0), 0.0, along / flat)
-        return np.where(lost, np.nan, (ratio**2).sum(-1))
+        ratio = np.where((singular == 0.0) & (along == 0.0), 0.0, along / singular)
+        radius = np.where((exact & (offset != 0.0)).any(-1), np.inf, (ratio**2).sum(-1))
+    return np.where(lost, np.nan, radius)
 
 
 def is_lost(ellipsoid: Ellipsoid) -> np.ndarray:
@@ -93,13 +103,18 @@ def image(ellipsoid: Ellipsoid, matrix: np.ndarray) -> Ellipsoid:
     return Ellipsoid(multiply(matrix, ellipsoid.centre), matrix @ ellipsoid.factor)
 
 
-def sum_factor(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Factor (..., n, r + s) of the smallest ellipsoid, by trace, around a sum of two.
+def sum_factor(
+    first: np.ndarray, second: np.ndarray, criterion: Criterion = unit_free
+) -> np.ndarray:
+    """Factor (..., n, r + s) of the smallest ellipsoid, by the criterion, around a sum of two.
 
     Of the ellipsoids (1 + b) P1 + (1 + 1/b) P2, all of which hold the sum, b^2 = tr P2 / tr P1 has
-    the smallest trace (Kurzhanski and Valyi (1997), Ellipsoidal calculus, section 2.2).
+    the smallest trace (Kurzhanski and Valyi (1997), Ellipsoidal calculus, section 2.2). The weights
+    of the trace are those of the root of the squared half-widths of both.
     """
-    sizes = [np.sqrt((factor**2).sum((-1, -2)))[..., None, None] for factor in (first, second)]
+    widths = [np.sqrt((factor**2).sum(-1)) for factor in (first, second)]
+    weights = criterion(np.hypot(*widths))
+    sizes = [np.sqrt(((weights * width) ** 2).sum(-1))[..., None, None] for width in widths]
     total = sizes[0] + sizes[1]
     # A point has size zero and takes no share.
     shares = [
@@ -111,7 +126,7 @@ def sum_factor(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def moved(
     ellipsoid: Ellipsoid, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
 ) -> Ellipsoid:
-    """The ellipsoid of least trace around where x' = A x + B v takes it, |v| <= 1.
+    """The smallest ellipsoid, free of units, around where x' = A x + B v takes it, |v| <= 1.
 
     Args:
         ellipsoid: of x, factor (..., n, n).
@@ -120,18 +135,36 @@ def moved(
     """
     spread = transition @ ellipsoid.factor
     reach = np.abs(ellipsoid.centre) + half_widths(ellipsoid)
-    largest = multiply(np.abs(transition), reach) + np.sqrt((noise**2).sum(-1)) + np.abs(centre)
-    rounding = rounding_bound(spread.shape[-1] + noise.shape[-1])
-    margin = np.broadcast_to(rounding * largest.max(-1, keepdims=True), centre.shape)
+    largest = magnitudes(transition, noise[..., None, :], reach) + np.abs(centre)
+    margin = rounding_bound(spread.shape[-1] + noise.shape[-1]) * largest
     return grow(Ellipsoid(centre, sum_factor(spread, noise)), margin)
 
 
-def grow(ellipsoid: Ellipsoid, margin: np.ndarray) -> Ellipsoid:
-    """An ellipsoid around the sum with the box of half-widths `margin` (..., n): factor (n, n)."""
-    n = margin.shape[-1]
-    # The smallest ellipsoid around a box has its half-widths times the root of n.
-    box = math.sqrt(n) * margin[..., None] * np.eye(n)
-    return Ellipsoid(ellipsoid.centre, squared(sum_factor(ellipsoid.factor, box)))
+def grow(
+    ellipsoid: Ellipsoid,
+    margin: np.ndarray,
+    criterion: Criterion = unit_free,
+    uncut: np.ndarray | float = 0.0,
+) -> Ellipsoid:
+    """An ellipsoid around the sum with the box of half-widths `margin` (..., n): factor (n, n).
+
+    The sum of P and of n intervals m_i along the axes lies in (1 + sum q) (P + sum m_i^2 / q_i).
+    With the weights w of the criterion, q_i in proportion to w_i m_i has the least trace.
+
+    Args:
+        uncut: half-widths (..., n) before readings cut the set. The weights are those of the wider:
+            a state that has just become known to its rounding must not widen the others.
+    """
+    widths = half_widths(ellipsoid)
+    weights = criterion(np.maximum(uncut, widths) + margin / _MOST_SHARE)
+    parts = weights * margin
+    whole = np.sqrt(((weights * widths) ** 2).sum(-1)) + parts.sum(-1)
+    share = np.divide(parts, whole[..., None], out=np.zeros_like(parts), where=parts > 0.0)
+    along = np.divide(margin, np.sqrt(share), out=np.zeros_like(parts), where=share > 0.0)
+    columns = join_columns(ellipsoid.factor, along[..., None] * np.eye(margin.shape[-1]))
+    return Ellipsoid(
+        ellipsoid.centre, squared(np.sqrt(1.0 + share.sum(-1))[..., None, None] * columns)
+    )
 
 
 def squared(factor: np.ndarray) -> np.ndarray:
@@ -149,13 +182,3 @@ def outline(ellipsoid: Ellipsoid, states: tuple[int, int], points: int = 65) -> 
     angles = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return plane.centre[..., None, :] + circle @ plane.factor.mT
-
-
-def rounding_bound(terms: int) -> float:
-    """Relative error of everything that a step computes from sums of `terms` products.
-
-    One such sum is off by at most terms * 2^-53 times the sum of the absolute products (Higham
-    (2002), Accuracy and stability of numerical algorithms, section 3.1). The truth is computed with
-    rounding too, and a step is a chain of a few such sums: eight times that holds all of them.
-    """
-    return 8 * terms * UNIT_ROUNDOFF

@@ -2,9 +2,9 @@
 
 The truth lies in both sets, so it lies in their intersection, whatever was counted twice on the
 way: sets need no weights against correlation. With |u|^2 <= 1 for one and |b + T u|^2 <= r^2 for
-the other, every w >= 0 gives |u|^2 + w |b + T u|^2 <= 1 + w r^2, an ellipsoid; the one of least
-trace is taken. It has the form of covariance intersection, with the right side that makes it
-certain.
+the other, every w >= 0 gives |u|^2 + w |b + T u|^2 <= 1 + w r^2, an ellipsoid. The one of least
+trace is taken, each state in units of its own half-width. It has the form of covariance
+intersection, with the right side that makes it certain.
 
 Sources: Kahan (1968), Circumscribing an ellipsoid about the intersection of two ellipsoids;
 Schweppe (1968); Fogel and Huang (1982), for a strip.
@@ -13,15 +13,16 @@ Schweppe (1968); Fogel and Huang (1982), for a strip.
 import numpy as np
 
 from concord.filters.linalg import multiply
+from concord.filters.sets.criterion import unit_free
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
     half_widths,
     is_lost,
     lose,
-    rounding_bound,
     squared,
 )
+from concord.filters.sets.rounding import rounding_bound, row_units
 
 # The weight is looked for on a grid of its logarithm, each time around the best of the last.
 _GRID, _ZOOMS = 25, 4
@@ -30,7 +31,7 @@ _TIE = 1e-12
 
 
 def intersection(own: Ellipsoid, other: Ellipsoid) -> Ellipsoid:
-    """An ellipsoid around own and other, never of larger trace than own (and then own itself).
+    """An ellipsoid around own and other, never larger than own (and then own itself).
 
     Args:
         own: factor (..., n, r). other: factor (..., n, n); one that is exactly flat is not used.
@@ -39,14 +40,15 @@ def intersection(own: Ellipsoid, other: Ellipsoid) -> Ellipsoid:
         factor (..., n, n); NaN in lanes in which the two have no point in common.
     """
     n = own.centre.shape[-1]
-    triangle = squared(other.factor)
+    units = row_units(other.factor)[..., None]
+    triangle = squared(other.factor / units)
     flat = (np.diagonal(triangle, axis1=-2, axis2=-1) == 0).any(-1)[..., None, None]
     inverse = np.linalg.inv(np.where(flat, np.eye(n), triangle))
     # Without rows and offset nothing is cut.
     inverse = np.where(flat, 0.0, inverse)
-    rows = inverse @ own.factor
-    offset = multiply(inverse, own.centre - other.centre)
-    condition = np.sqrt((inverse**2).sum((-1, -2)) * (other.factor**2).sum((-1, -2)))
+    rows = inverse @ (own.factor / units)
+    offset = multiply(inverse, (own.centre - other.centre) / units[..., 0])
+    condition = np.sqrt((inverse**2).sum((-1, -2)) * (triangle**2).sum((-1, -2)))
     size = np.sqrt((rows**2).sum((-1, -2)) + (offset**2).sum(-1))
     radius = 1.0 + rounding_bound(n) * condition * (1.0 + size)
     return _narrowed(own, rows / radius[..., None, None], offset / radius[..., None])
@@ -78,7 +80,8 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
     along = multiply(left.mT, offset)
     stretch[..., :count], shift[..., :count] = singular, along[..., :count]
     beyond = (along[..., count:] ** 2).sum(-1)
-    weight = _best_weight(stretch**2, shift**2, beyond, (turned**2).sum(-2))
+    relative = turned / row_units(own.factor)[..., None]
+    weight = _best_weight(stretch**2, shift**2, beyond, (relative**2).sum(-2))
     eigenvalues = 1.0 + weight[..., None] * stretch**2
     room = _room(weight, stretch**2, shift**2, beyond)
     # The room grows by the error that rounding may have caused in the eigenvectors and in itself.
@@ -88,12 +91,13 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
     room = np.where(room > 0, room, np.nan)
     factor = turned * np.sqrt(room[..., None] / eigenvalues)[..., None, :]
     centre = own.centre - multiply(turned, weight[..., None] * stretch * shift / eigenvalues)
-    reach = np.abs(own.centre) + half_widths(own)
-    margin = np.broadcast_to(rounding * reach.max(-1, keepdims=True), centre.shape)
-    narrowed = grow(Ellipsoid(centre, factor), margin)
+    widths = half_widths(own)
+    margin = np.broadcast_to(rounding * (np.abs(own.centre) + widths), centre.shape)
+    narrowed = grow(Ellipsoid(centre, factor), margin, uncut=widths)
     square = own.factor.shape[-1] == centre.shape[-1]
     same = own if square else grow(own, margin)
-    worse = (narrowed.factor**2).sum((-1, -2)) >= (own.factor**2).sum((-1, -2))
+    weights = unit_free(widths)
+    worse = ((weights * half_widths(narrowed)) ** 2).sum(-1) >= ((weights * widths) ** 2).sum(-1)
     chosen = Ellipsoid(
         np.where(worse[..., None], own.centre, narrowed.centre),
         np.where(worse[..., None, None], same.factor, narrowed.factor),

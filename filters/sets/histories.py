@@ -4,6 +4,8 @@ Lanes (...) are histories side by side.
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,16 +17,29 @@ from concord.filters.sets.bus_readings import (
     step_evidence,
 )
 from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.cycle import CycleResult
 from concord.filters.sets.ellipsoid import Ellipsoid, from_shape, image
 from concord.filters.sets.lifted_cycle import AugmentedCycle, DeliveredValues
 from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
+from concord.filters.sets.tight_estimator import conditioned
 from concord.filters.sets.zonotope import Zonotope
 from concord.filters.sets.zonotope_filter import zonotope_step
 
 CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
-Histories = Callable[[MeasuredPlant, DeliveredValues, Ellipsoid], list[Ellipsoid] | list[Zonotope]]
+
+
+class SetHistory(NamedTuple):
+    """Sets over a history, and the duality gap (T, ...) of each relative to its trace.
+
+    The gap is NaN of methods that solve no programme, and in lanes that are lost.
+    """
+
+    sets: list[Ellipsoid] | list[Zonotope]
+    gaps: np.ndarray
+
+
+Histories = Callable[[MeasuredPlant, DeliveredValues, Ellipsoid, Criterion], SetHistory]
 
 
 def sets_over(
@@ -33,7 +48,8 @@ def sets_over(
     centre: np.ndarray,
     shape: np.ndarray,
     method: str = "tight",
-) -> list[Ellipsoid] | list[Zonotope]:
+    criterion: Criterion = unit_free,
+) -> SetHistory:
     """The sets that hold the state, given what a bus delivered from step 0 on.
 
     Args:
@@ -42,6 +58,7 @@ def sets_over(
         centre, shape: (..., n) and (n, n), the ellipsoid that holds the state at step 0.
         method: "paper" and "fast" give a set of (x in the g steps, held values) for each cycle,
             "tight" of x in the g steps; "fast-rate" and "zonotope" of x for each step.
+        criterion: the weights of the states; `plain_trace` for the paper's.
 
     Raises:
         ValueError: an unknown method.
@@ -51,7 +68,7 @@ def sets_over(
     lanes = received.winner.shape[:-1]
     n = np.shape(centre)[-1]
     first = from_shape(np.broadcast_to(centre, (*lanes, n)), np.broadcast_to(shape, (*lanes, n, n)))
-    return METHODS[method](plant, received, first)
+    return METHODS[method](plant, received, first, criterion)
 
 
 def augmented_prior(
@@ -81,49 +98,73 @@ def by_cycle(
     received: DeliveredValues,
     first: Ellipsoid,
     see: Callable[[AugmentedCycle], AugmentedCycle] = lambda cycle: cycle,
-) -> list[Ellipsoid]:
+) -> SetHistory:
     """Algorithm 1 with the step that finds an ellipsoid; `see` may change what it is told."""
     kept = augmented_prior(first, received.held[..., 0, :], plant.length)
-    sets = []
+    sets, gaps = [], []
     for cycle in range(received.values.shape[-2]):
         model = see(augmented(plant, received, cycle))
-        kept = step(kept, model, received.values[..., cycle, :]).after
+        found = step(kept, model, received.values[..., cycle, :])
+        kept = found.after
         sets.append(kept)
-    return sets
+        gaps.append(found.gap)
+    return SetHistory(sets, np.array(gaps))
 
 
-def _tight(plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid) -> list[Ellipsoid]:
+def _paper(
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid, criterion: Criterion
+) -> SetHistory:
+    return by_cycle(partial(optimal_step, criterion=criterion), plant, received, first)
+
+
+def _fast(
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid, criterion: Criterion
+) -> SetHistory:
+    return by_cycle(partial(closed_form_step, criterion=criterion), plant, received, first)
+
+
+def _tight(
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid, criterion: Criterion
+) -> SetHistory:
     n = first.centre.shape[-1]
     last = np.eye(plant.length * n)[-n:]
-    sets = []
+    sets, gaps = [], []
     for cycle in range(received.values.shape[-2]):
-        sets.append(conditioned_step(first, cycle_evidence(plant, received, cycle)))
-        first = image(sets[-1], last)
-    return sets
+        found = conditioned(first, cycle_evidence(plant, received, cycle), criterion)
+        sets.append(found.after)
+        gaps.append(found.gap)
+        first = image(found.after, last)
+    return SetHistory(sets, np.array(gaps))
 
 
 def _fast_rate(
-    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid
-) -> list[Ellipsoid]:
-    sets: list[Ellipsoid] = []
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid, criterion: Criterion
+) -> SetHistory:
+    sets, gaps = [], []
     for cycle in range(received.values.shape[-2]):
-        sets += step_by_step(sets[-1] if sets else first, step_evidence(plant, received, cycle))
-    return sets
+        for evidence in step_evidence(plant, received, cycle):
+            found = conditioned(first, evidence, criterion)
+            first = found.after
+            sets.append(first)
+            gaps.append(found.gap)
+    return SetHistory(sets, np.array(gaps))
 
 
-def _zonotopes(plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid) -> list[Zonotope]:
+def _zonotopes(
+    plant: MeasuredPlant, received: DeliveredValues, first: Ellipsoid, criterion: Criterion
+) -> SetHistory:
     kept = Zonotope(first.centre, first.factor)
     sets = []
     for cycle in range(received.values.shape[-2]):
         for evidence in step_evidence(plant, received, cycle):
-            kept = zonotope_step(kept, evidence)
+            kept = zonotope_step(kept, evidence, criterion=criterion)
             sets.append(kept)
-    return sets
+    return SetHistory(sets, np.full((len(sets), *first.centre.shape[:-1]), np.nan))
 
 
 METHODS: dict[str, Histories] = {
-    "paper": lambda *history: by_cycle(optimal_step, *history),
-    "fast": lambda *history: by_cycle(closed_form_step, *history),
+    "paper": _paper,
+    "fast": _fast,
     "tight": _tight,
     "fast-rate": _fast_rate,
     "zonotope": _zonotopes,

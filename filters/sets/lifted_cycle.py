@@ -34,6 +34,8 @@ class LinearBoundedSystem(Protocol):
 
     def scaled_feedthrough(self, step: int) -> np.ndarray: ...
 
+    def majorant(self) -> "LinearBoundedSystem": ...
+
 
 class DeliveredValues(NamedTuple):
     """Values that the bus delivers.
@@ -57,6 +59,7 @@ class LiftedCycle(NamedTuple):
 
     states (g n, n): x in steps 1..g of the cycle, one after the other, from x at its beginning.
     outputs (m, n): each output in the step in which it would be sent. weights (m - l,): of (5).
+    majorant: the same of `BoundedSystem.majorant`, which itself has none.
     """
 
     states: np.ndarray
@@ -64,6 +67,7 @@ class LiftedCycle(NamedTuple):
     outputs: np.ndarray
     outputs_noise: np.ndarray
     weights: np.ndarray
+    majorant: "LiftedCycle | None" = None
 
 
 class AugmentedCycle(NamedTuple):
@@ -74,6 +78,7 @@ class AugmentedCycle(NamedTuple):
     candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
     `winner` (...) of them was sent, -1 for none. Its squared change times `weights` (m - l,) is the
     largest, up to `excess` (...), for a bus tells changes apart only so far.
+    majorant: the same of the lifted cycle's, for bounds of rounding.
     """
 
     transition: np.ndarray
@@ -85,12 +90,33 @@ class AugmentedCycle(NamedTuple):
     weights: np.ndarray
     winner: NDArray[np.int_]
     excess: np.ndarray
+    majorant: "AugmentedCycle | None" = None
 
 
 def lift(
     system: LinearBoundedSystem, static_outputs: int, weights: WeightsAtStep, cycle: int
 ) -> LiftedCycle:
-    """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle."""
+    """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle.
+
+    Raises:
+        ValueError: the weights do not fit the contending outputs, or one is not positive.
+    """
+    first = cycle * (static_outputs + 1)
+    contending = len(system.output(first)) - static_outputs
+    of_outputs = np.asarray(weights(first + static_outputs))
+    if of_outputs.shape != (contending,) or not (of_outputs > 0.0).all():
+        raise ValueError(
+            f"weights {of_outputs.tolist()} of {contending} contending outputs; give one positive "
+            "number for each, so that the winner's change is the largest"
+        )
+    of_cycle = _lifted(system, static_outputs, weights, cycle)
+    majorant = _lifted(system.majorant(), static_outputs, weights, cycle)
+    return of_cycle._replace(majorant=majorant)
+
+
+def _lifted(
+    system: LinearBoundedSystem, static_outputs: int, weights: WeightsAtStep, cycle: int
+) -> LiftedCycle:
     length = static_outputs + 1
     first = cycle * length
     noise = system.scaled_noise_input(first)
@@ -146,4 +172,5 @@ def augment(cycle: LiftedCycle, winner: NDArray[np.int_], excess: np.ndarray) ->
     return AugmentedCycle(
         transition, noise, output, output_noise,
         candidates, cycle.outputs_noise[static:], cycle.weights, np.asarray(winner), excess,
+        None if cycle.majorant is None else augment(cycle.majorant, winner, excess),
     )  # fmt: skip

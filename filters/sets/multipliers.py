@@ -7,7 +7,7 @@ M(tau) = e1 e1' + sum tau_i T_i > 0: P = (image - L known) M^-1 (image - L known
 exactly (least squares), and a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
 
 Every tau on the way is a certificate, so the guarantee does not depend on how far a solver got. Its
-accuracy does: the trace ends within a few 1e-6 of the least.
+accuracy does, and each result states its duality gap: how far at most the trace is from the least.
 
 Source: Liu et al. (2021), theorem 1 and corollary 1. This is their semidefinite programme with P
 and L eliminated (projection lemma). See also Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear
@@ -19,17 +19,22 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.linalg import cholesky
-from concord.filters.sets.ellipsoid import rounding_bound
+from concord.filters.sets.criterion import Criterion, unit_free
+from concord.filters.sets.ellipsoid import squared
+from concord.filters.sets.rounding import pseudo_inverse, rounding_bound, row_units
 
-# The path to the optimum: weights of the barrier relative to the trace, and Newton's steps on each.
-_BARRIERS = 10.0 ** -np.arange(0.5, 7.0, 1.0)
+ACCURACY = 5e-6
+"""Duality gap, relative to the trace, that the search for multipliers ends at."""
+# The path to the optimum: weight of the barrier relative to the trace, at first and from one to the
+# next, how many at most, and Newton's steps on each.
+_FIRST_BARRIER, _STEP_OF_BARRIER, _MOST_BARRIERS = 10.0**-0.5, 0.1, 11
 _NEWTON_STEPS, _HALVINGS = 30, 20
-# Squared Newton decrement at which a barrier is done, and the last one; times the barrier it is
-# twice the error.
-_ROUGH, _FINE = 0.5, 1e-3
-# Parts of `known` weaker than this relative to the strongest are rounding, and left alone.
-_RANK_TOLERANCE = 1e-9
-# The same for their squares, where rows fade out instead: on the way, not in the result.
+# Squared Newton decrement at which a barrier is done, and the last one, on which the dual variables
+# must be feasible; in between, where Newton's steps converge quadratically.
+_ROUGH, _SMALL, _FINE = 0.5, 1e-3, 1e-10
+# Weights of the barrier in the dual variables that are tried, in those of the last.
+_DUAL_WEIGHTS = (0.5, 1.0, 2.0, 8.0)
+# Squares of parts of `known` that fade out on the way to the result, relative to all.
 _WEAK = 1e-14
 # Room inside M > 0, so that no rounding can close it.
 _MARGIN = 1e-7
@@ -56,12 +61,14 @@ class Bound(NamedTuple):
     """An ellipsoid around image theta - gain known theta, centred at zero.
 
     factor (..., n, d) of P, gain (..., n, m), multipliers (..., c); all NaN in a lane without any,
-    which means that no theta meets all terms: the data contradict the bounds.
+    which means that no theta meets all terms: the data contradict the bounds. gap (...): part of
+    the trace, in the weights of the criterion, that is not proved to be necessary.
     """
 
     factor: np.ndarray
     gain: np.ndarray
     multipliers: np.ndarray
+    gap: np.ndarray
 
 
 class _Point(NamedTuple):
@@ -77,13 +84,27 @@ class _Point(NamedTuple):
     whitened_terms: np.ndarray
 
 
-def smallest_bound(problem: Problem) -> Bound:
-    """The ellipsoid with the smallest trace that the terms prove."""
-    return certified_bound(problem, optimal_multipliers(problem))
+def smallest_bound(
+    problem: Problem, criterion: Criterion = unit_free, accuracy: float = ACCURACY
+) -> Bound:
+    """The ellipsoid with the smallest trace that the terms prove.
+
+    Args:
+        criterion: the weights of the rows of the image in the trace.
+        accuracy: the duality gap to reach, relative to the trace.
+    """
+    weights = criterion(np.sqrt((problem.image**2).sum(-1)))
+    weighted = problem._replace(image=weights[..., None] * problem.image)
+    multipliers, least = optimal_multipliers(weighted, accuracy)
+    bound = certified_bound(problem, multipliers)
+    trace = ((weights[..., None] * bound.factor) ** 2).sum((-1, -2))
+    gap = np.divide(trace - least, trace, out=np.zeros_like(trace), where=trace != 0.0)
+    return bound._replace(gap=np.clip(gap, 0.0, 1.0))
 
 
 def certified_bound(problem: Problem, multipliers: np.ndarray) -> Bound:
-    """The ellipsoid that given multipliers (..., c) prove; NaN where they prove none.
+    """The ellipsoid that given multipliers (..., c) prove, without a gap; NaN where they prove
+    none.
 
     The bound holds in floating point. M stays away from singular by more than its rounding error.
     P grows by the largest rounding error of M^-1. That relative error is d u / least eigenvalue of
@@ -99,15 +120,16 @@ def certified_bound(problem: Problem, multipliers: np.ndarray) -> Bound:
     sensitivity = (whitener**2).sum((-1, -2))
     safe = np.sqrt(1.0 + rounding_bound(matrix.shape[-1]) * sensitivity)[..., None, None]
     whitener = whitener * scale[..., None, :]
-    image, known = problem.image @ whitener.mT, problem.known @ whitener.mT
-    gain = image @ _pseudo_inverse(known)
-    # Not the projection of the image: with this residual any gain is as sound as the best.
-    factor = image - gain @ known
+    gain = (problem.image @ whitener.mT) @ pseudo_inverse(problem.known @ whitener.mT)
+    # Not the projection of the image: with this residual any gain is as sound as the best. Its
+    # rounding before it is whitened is an error of the state, entry by entry.
+    factor = (problem.image - gain @ problem.known) @ whitener.mT
     lost = contradiction(problem, multipliers)
     return Bound(
         np.where(lost[..., None, None], np.nan, safe * factor),
         np.where(lost[..., None, None], np.nan, gain),
         np.where(lost[..., None], np.nan, multipliers),
+        np.full(lost.shape, np.nan),
     )
 
 
@@ -118,16 +140,62 @@ def contradiction(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
     return ~np.isnan(cholesky(total)[..., -1, -1])
 
 
-def optimal_multipliers(problem: Problem) -> np.ndarray:
-    """tau (..., c) that minimise the trace; NaN in lanes in which none is feasible."""
-    flat, scale = _normalised(problem)
+def optimal_multipliers(
+    problem: Problem, accuracy: float = ACCURACY
+) -> tuple[np.ndarray, np.ndarray]:
+    """tau (..., c) that minimise the trace, and a trace (...) below which none is.
+
+    NaN in lanes in which no multipliers are feasible.
+    """
+    flat, scale, size = _normalised(problem)
     point = _evaluate(flat, _begin(flat))
-    for barrier in _BARRIERS:
+    # On the path to the optimum the gap is the barrier's weight times the number of its terms.
+    parameters = sum(problem.terms.shape[-2:-4:-1])
+    barrier, weight = _FIRST_BARRIER, point.trace
+    for _ in range(_MOST_BARRIERS):
+        last = barrier * parameters <= accuracy
         # Relative to the trace, so that the units of the state do not matter.
         weight = barrier * np.maximum(point.trace, np.finfo(float).tiny)
-        point = _centre(flat, point, weight, _FINE if barrier == _BARRIERS[-1] else _ROUGH)
-    found = np.where(np.isfinite(point.trace)[:, None], point.multipliers / scale, np.nan)
-    return found.reshape(*_lanes(problem), -1)
+        point = _centre(flat, point, weight, _FINE if last else _ROUGH)
+        if last:
+            break
+        barrier *= _STEP_OF_BARRIER
+    sound = np.isfinite(point.trace)
+    found = np.where(sound[:, None], point.multipliers / scale, np.nan)
+    least = np.where(sound, size**2 * _least_trace(flat, point, weight), np.nan)
+    lanes = _lanes(problem)
+    return found.reshape(*lanes, -1), least.reshape(lanes)
+
+
+def _least_trace(problem: Problem, point: _Point, barrier: np.ndarray) -> np.ndarray:
+    """A trace (...) that no multipliers undercut, by feasible points of the dual programme.
+
+    With G = M^-1 E' E M^-1, E = image - L known at the best L, the dual variable is
+    Z = G + w M^-1 + s e1 e1', w > 0 and s >= -w / M_11. It is feasible if <Z, T_i> <= 0 for every
+    term, and its value is 2 tr P - Z_11. Weights w around that of the barrier are tried, each with
+    the least s. Source: Boyd and Vandenberghe (2004), Convex optimization, section 5.9.
+    """
+    matrix = _certificate(problem, point.multipliers)
+    whitener = np.linalg.inv(cholesky(matrix))
+    image, known = problem.image @ whitener.mT, problem.known @ whitener.mT
+    rows = _orthonormal_rows(known)
+    residual = image - image @ rows.mT @ rows
+    first = ((residual @ whitener[..., :1])[..., 0] ** 2).sum(-1)
+    of_inverse = np.trace(point.whitened_terms, axis1=-2, axis2=-1)
+    constant = problem.terms[..., 0, 0]
+    best = np.zeros(point.trace.shape)
+    for multiple in _DUAL_WEIGHTS:
+        weight = multiple * barrier
+        room = point.gradient - weight[:, None] * of_inverse
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = room / constant
+        least = np.where(constant < 0.0, ends, -np.inf).max(-1)
+        least = np.maximum(least, -weight / matrix[..., 0, 0])
+        most = np.where(constant > 0.0, ends, np.inf).min(-1)
+        feasible = (least <= most) & ((constant != 0.0) | (room >= 0.0)).all(-1)
+        corner = first + weight * (whitener[..., 0] ** 2).sum(-1) + least
+        best = np.where(feasible, np.maximum(best, 2.0 * point.trace - corner), best)
+    return best
 
 
 def _lanes(problem: Problem) -> tuple[int, ...]:
@@ -135,10 +203,12 @@ def _lanes(problem: Problem) -> tuple[int, ...]:
     return np.broadcast_shapes(*(array.shape[:-2] for array in arrays))
 
 
-def _normalised(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """The same problem on one axis of lanes, image and terms of size one; how much terms shrank.
+def _normalised(problem: Problem) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """The same problem on one axis of lanes, image, known and terms of size one; how much terms and
+    image shrank.
 
-    A run on an unstable plant reaches states whose squares overflow.
+    A run on an unstable plant reaches states whose squares overflow. The trace depends on
+    image' image alone, so that a long image gives way to its triangle (d, d).
     """
     lanes = _lanes(problem)
 
@@ -150,14 +220,16 @@ def _normalised(problem: Problem) -> tuple[Problem, np.ndarray]:
     scale = np.abs(terms).max((-1, -2))
     scale[:, : problem.balls] = 1.0
     scale = np.where(scale > 0, scale, 1.0)
-    size = np.abs(image).max((-1, -2), keepdims=True)
+    size = np.abs(image).max((-1, -2))
+    size = np.where(size > 0, size, 1.0)
+    image = image / size[..., None, None]
+    if image.shape[-2] > image.shape[-1]:
+        image = squared(image.mT).mT
+    known = spread(problem.known, 2)
     flat = Problem(
-        terms / scale[..., None, None],
-        problem.balls,
-        image / np.where(size > 0, size, 1.0),
-        spread(problem.known, 2),
+        terms / scale[..., None, None], problem.balls, image, known / row_units(known)[..., None]
     )
-    return flat, scale
+    return flat, scale, size
 
 
 def _rounding(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
@@ -217,14 +289,17 @@ def _evaluate(problem: Problem, multipliers: np.ndarray) -> _Point:
 
 def _centre(problem: Problem, point: _Point, weight: np.ndarray, enough: float) -> _Point:
     """Newton's method on trace / weight + log barrier; lanes that are done are left alone."""
-    waiting = np.arange(len(weight))
+    waiting, before = np.arange(len(weight)), np.full(len(weight), np.inf)
     for _ in range(_NEWTON_STEPS):
         here, at = _some(point, waiting), weight[waiting]
         gradient = here.gradient / at[:, None] + here.barrier_gradient
         hessian = here.hessian / at[:, None, None] + here.barrier_hessian
         step = _newton_step(hessian, gradient)
         decrement = -(gradient * step).sum(-1)
-        active = decrement > enough
+        # Newton's step squares a small decrement, until only rounding is left of it.
+        stalled = (decrement < _SMALL) & (decrement > 0.1 * before[waiting])
+        active = (decrement > enough) & ~stalled
+        before[waiting] = decrement
         if not active.any():
             break
         waiting = waiting[active]
@@ -255,6 +330,10 @@ def _search(
         trial = _evaluate(_part(problem, lanes[waiting]), target)
         drop = height[waiting] - (trial.trace / at[waiting] + trial.log_barrier)
         good = drop >= 0.1 * length[waiting] * decrement[waiting] - unseen[waiting]
+        if good.all() and len(waiting) == len(point.trace):
+            for whole, part in zip(point, trial, strict=True):
+                whole[...] = part
+            return np.ones(len(lanes), dtype=bool)
         for whole, part in zip(point, trial, strict=True):
             whole[lanes[waiting[good]]] = part[good]
         waiting = waiting[~good]
@@ -308,9 +387,3 @@ def _orthonormal_rows(matrix: np.ndarray) -> np.ndarray:
     size = matrix.shape[-2]
     weak = (_WEAK * total + np.finfo(float).tiny) * np.eye(size)
     return np.linalg.inv(cholesky(gram + weak)) @ matrix
-
-
-def _pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
-    sound = np.isfinite(matrix).all((-1, -2), keepdims=True)
-    inverse = np.linalg.pinv(np.where(sound, matrix, 0.0), rcond=_RANK_TOLERANCE)
-    return np.where(sound, inverse, np.nan)

@@ -14,24 +14,59 @@ import numpy as np
 
 from concord.filters.lanes import join_columns, join_stacks
 from concord.filters.linalg import multiply
-from concord.filters.sets.cycle import CycleResult, ball, flat, follow, turned, unknowns
-from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
+from concord.filters.sets.criterion import Criterion, unit_free
+from concord.filters.sets.cycle import (
+    CycleResult,
+    Proof,
+    ball,
+    check_sizes,
+    flat,
+    follow,
+    heard,
+    shared,
+    turned,
+    unknowns,
+)
+from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost
 from concord.filters.sets.lifted_cycle import AugmentedCycle
-from concord.filters.sets.multipliers import Problem, smallest_bound
+from concord.filters.sets.multipliers import ACCURACY, Problem, smallest_bound
+from concord.filters.sets.rounding import magnitudes, pseudo_inverse, rounding_bound
 
 
 def optimal_step(
-    before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray, samples_apart: bool = False
+    before: Ellipsoid,
+    cycle: AugmentedCycle,
+    received: np.ndarray,
+    criterion: Criterion = unit_free,
+    accuracy: float = ACCURACY,
+    samples_apart: bool = False,
 ) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came (corollary 1).
 
-    With `samples_apart` each noise sample has a multiplier of its own, not one for all as in (25).
-    NaN in lanes in which no theta meets the terms: the bounds are wrong.
+    NaN in lanes in which no theta meets the terms, or none explains what was received: the bounds
+    are wrong. A value that is NaN was not received.
+
+    Args:
+        criterion: the weights of the states; `plain_trace` for the paper's.
+        accuracy: the duality gap to reach, relative to the trace.
+        samples_apart: each noise sample has a multiplier of its own, not one for all as in (25).
     """
+    check_sizes(before, cycle, received)
+    cycle, received = heard(cycle, received)
     sound = replace_lost(before, 0.0)
     position = turned(sound.factor, cycle)
-    bound = smallest_bound(problem(sound, cycle, position, samples_apart))
-    return follow(before, cycle, received, bound.factor, bound.gain)
+    asked = problem(sound, cycle, position, samples_apart)
+    bound = smallest_bound(asked, criterion, accuracy)
+    # The balls alone, with the multipliers that were found, say what can have been received.
+    samples, seen = cycle.noise.shape[-2], position.shape[-1]
+    of_noise = bound.multipliers[..., 1 : asked.balls].sum(-1)
+    parts = bound.multipliers[..., 0], (1 if samples_apart else samples) * of_noise
+    share = parts[0] / (parts[0] + parts[1])
+    known = asked.known[..., 1:]
+    known = known * shared(share, seen, known.shape[-1], samples)[..., None, :]
+    uncut = np.sqrt((asked.image**2).sum(-1))
+    proof = Proof(bound.factor, bound.gain, known, pseudo_inverse(known), bound.gap, uncut)
+    return follow(before, cycle, received, proof, criterion)
 
 
 def problem(
@@ -48,11 +83,11 @@ def problem(
     # A hair more than the bounds: what is on them in exact arithmetic may be rounded out.
     hair = 1.0 + rounding_bound(size)
     # Columns of the noise of one sample after the other, or of all together.
-    groups = [(1 + seen, size - 1 - seen, samples)]
+    groups = [((1 + seen, size - 1 - seen), samples)]
     if samples_apart:
-        groups = [(1 + seen + sample * numbers, numbers, 1) for sample in range(samples)]
+        groups = [((1 + seen + sample * numbers, numbers), 1) for sample in range(samples)]
     balls = np.stack(
-        [ball(1, seen, size, hair), *(ball(*columns, size, n * hair) for *columns, n in groups)]
+        [ball(1, seen, size, hair), *(ball(*of_noise, size, n * hair) for of_noise, n in groups)]
     )
     terms = join_stacks(balls, _losers(before, cycle, position))
     return Problem(terms, len(balls), of.image, of.known)
@@ -66,7 +101,8 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     squares = cycle.weights[..., :, None, None] * change[..., :, None] * change[..., None, :]
     # A bound of the rounding error of the comparison, added as a constant that weakens the term.
     reach = np.abs(before.centre) + half_widths(before)
-    largest = multiply(np.abs(cycle.candidates), reach)
+    of = cycle.majorant or cycle
+    largest = magnitudes(of.candidates, of.candidates_noise, reach)
     slack = rounding_bound(change.shape[-1]) * np.abs(cycle.weights) * largest**2
     winner = np.asarray(cycle.winner)[..., None]
     count = cycle.weights.shape[-1]
@@ -78,5 +114,11 @@ def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> n
     of_winner = np.take_along_axis(squares, winner[..., None, None], -3)
     terms = of_losers - of_winner
     terms[..., 0, 0] -= np.take_along_axis(slack, lost, -1) + np.take_along_axis(slack, winner, -1)
+    # Bids are rounded: a loser's weighted squared change may be larger by the excess.
     terms[..., 0, 0] -= cycle.excess[..., None]
-    return terms
+    # Without a winner, or of a loser without a weight, nothing is known; -1 <= 0 says nothing.
+    silent = (winner < 0) | (
+        np.take_along_axis(np.broadcast_to(cycle.weights, slack.shape), lost, -1) == 0.0
+    )
+    nothing = -np.outer(*np.eye(1, change.shape[-1]).repeat(2, 0))
+    return np.where(silent[..., None, None], nothing, terms)

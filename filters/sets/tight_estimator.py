@@ -15,11 +15,13 @@ conditioning are ours, after Boyd et al. (1994), section 3.7.
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from concord.filters.lanes import join_columns, join_stacks
 from concord.filters.linalg import multiply
+from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.cycle import flat
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
@@ -28,22 +30,52 @@ from concord.filters.sets.ellipsoid import (
     is_lost,
     lose,
     replace_lost,
-    rounding_bound,
+    squared,
 )
 from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
-from concord.filters.sets.multipliers import Problem, smallest_bound
+from concord.filters.sets.multipliers import ACCURACY, Problem, smallest_bound
+from concord.filters.sets.rounding import RANK_TOLERANCE, pseudo_inverse, rounding_bound, row_units
 
-_RANK_TOLERANCE = 1e-9
+
+class ConditionedResult(NamedTuple):
+    """The ellipsoid after a step, and the duality gap (...) relative to its trace."""
+
+    after: Ellipsoid
+    gap: np.ndarray
 
 
-def conditioned_step(before: Ellipsoid, evidence: StepReadings) -> Ellipsoid:
+def conditioned_step(
+    before: Ellipsoid, evidence: StepReadings, criterion: Criterion = unit_free
+) -> Ellipsoid:
+    """The ellipsoid of `conditioned`, to the usual accuracy."""
+    return conditioned(before, evidence, criterion).after
+
+
+def conditioned(
+    before: Ellipsoid,
+    evidence: StepReadings,
+    criterion: Criterion = unit_free,
+    accuracy: float = ACCURACY,
+) -> ConditionedResult:
     """The ellipsoid (..., k) of what becomes of a state in `before` (..., n), given the evidence.
 
-    Of those that the multipliers prove it has the least trace. NaN in lanes in which the readings
-    contradict the bounds.
+    Of those that the multipliers prove it has the least trace, in the weights of the criterion and
+    but for a relative duality gap of `accuracy`. NaN in lanes in which the readings contradict the
+    bounds.
+
+    Raises:
+        ValueError: the ellipsoid has not the states of the plant.
     """
+    n = evidence.motion.state.shape[-1]
+    if before.centre.shape[-1] != n:
+        raise ValueError(
+            f"an ellipsoid of {before.centre.shape[-1]} states for a plant of {n}; give one of {n}"
+        )
     motion, exact, bounded = evidence.motion, taken(evidence.exact), taken(evidence.bounded)
     lost, before = is_lost(before), replace_lost(before, 0.0)
+    # A set that was picked from a longer one, as the last step of a cycle, has columns to spare.
+    if before.factor.shape[-1] > before.factor.shape[-2]:
+        before = before._replace(factor=squared(before.factor))
     rank = before.factor.shape[-1]
     image = _joined(before, motion.state, motion.noise)
     cut, slack = _cut(before, exact)
@@ -52,18 +84,25 @@ def conditioned_step(before: Ellipsoid, evidence: StepReadings) -> Ellipsoid:
     reached = image @ cut
     size = reached.shape[-1]
     known = np.broadcast_to(np.eye(size)[:1], (*reached.shape[:-2], 1, size))
-    bound = smallest_bound(Problem(terms, balls.shape[-3], reached, known))
+    # The weights are those of the set before it is cut.
+    uncut = np.sqrt((image**2).sum(-1))
+    weights = criterion(uncut)
+    asked = Problem(terms, balls.shape[-3], reached, known)
+    bound = smallest_bound(asked, lambda _: weights, accuracy)
     centre = multiply(motion.state, before.centre) + bound.gain[..., 0]
     after = Ellipsoid(centre, bound.factor)
-    grown = grow(after, _rounding(before, motion, exact, image))
-    return lose(grown, lost | is_lost(after))
+    grown = grow(after, _rounding(before, motion, exact, image), criterion, uncut)
+    lost = lost | is_lost(after)
+    return ConditionedResult(lose(grown, lost), np.where(lost, np.nan, bound.gap))
 
 
-def step_by_step(before: Ellipsoid, steps: Sequence[StepReadings]) -> list[Ellipsoid]:
+def step_by_step(
+    before: Ellipsoid, steps: Sequence[StepReadings], criterion: Criterion = unit_free
+) -> list[Ellipsoid]:
     """The ellipsoids after each of several steps of the plant."""
     ellipsoids = []
     for evidence in steps:
-        before = conditioned_step(before, evidence)
+        before = conditioned_step(before, evidence, criterion)
         ellipsoids.append(before)
     return ellipsoids
 
@@ -87,8 +126,17 @@ def _cut(before: Ellipsoid, exact: Readings) -> tuple[np.ndarray, np.ndarray]:
     if count == 0:
         everything = join_columns(np.zeros((size, 1)), np.eye(size))
         return np.broadcast_to(everything, (*lanes, *everything.shape)), np.zeros(lanes)
+    reach = np.abs(before.centre) + half_widths(before)
+    moved = rounding_bound(size + before.centre.shape[-1]) * (
+        magnitudes(exact, reach) + np.abs(exact.values)
+    )
+    # Readings in units of their own spread; one that is known to its rounding says nothing.
+    units = row_units(seen)
+    silent = units <= moved
+    seen = np.where(silent[..., None], 0.0, seen / units[..., None])
+    offset, moved = np.where(silent, 0.0, offset / units), np.where(silent, 0.0, moved / units)
     left, singular, rows = np.linalg.svd(seen, full_matrices=True)
-    kept = singular > _RANK_TOLERANCE * singular.max(-1, keepdims=True)
+    kept = singular > RANK_TOLERANCE * singular.max(-1, keepdims=True)
     inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=kept)
     along = multiply(left.mT, offset)[..., : singular.shape[-1]] * inverse
     middle = multiply(rows.mT[..., : singular.shape[-1]], along)
@@ -97,10 +145,6 @@ def _cut(before: Ellipsoid, exact: Readings) -> tuple[np.ndarray, np.ndarray]:
     fewest = int(cuts.min())
     free = np.arange(fewest, size) >= cuts[..., None]
     basis = rows.mT[..., fewest:] * free[..., None, :]
-    reach = np.abs(before.centre) + half_widths(before)
-    moved = rounding_bound(size + before.centre.shape[-1]) * (
-        magnitudes(exact.state, exact.noise, reach) + np.abs(exact.values)
-    )
     slack = np.sqrt((moved**2).sum(-1)) * inverse.max(-1)
     return join_columns(middle[..., None], basis), slack
 
@@ -126,7 +170,7 @@ def _strips(before: Ellipsoid, bounded: Readings, cut: np.ndarray, slack: np.nda
     offset = multiply(bounded.state, before.centre) - bounded.values
     reach = np.abs(before.centre) + half_widths(before)
     moved = rounding_bound(seen.shape[-1] + before.centre.shape[-1]) * (
-        magnitudes(bounded.state, bounded.noise, reach) + np.abs(bounded.values)
+        magnitudes(bounded, reach) + np.abs(bounded.values)
     )
     length = np.sqrt((seen**2).sum(-1))
     half_widths_ = bounded.half_widths + moved + length * slack[..., None]
@@ -145,15 +189,14 @@ def _square(rows: np.ndarray, radius: np.ndarray) -> np.ndarray:
 def _rounding(
     before: Ellipsoid, motion: BoundedMotion, exact: Readings, image: np.ndarray
 ) -> np.ndarray:
-    """Half-widths (..., k) of what rounding does to centre, shape and truth; each the largest."""
+    """Half-widths (..., k) of what rounding does to centre, shape and truth."""
     reach = np.abs(before.centre) + half_widths(before)
-    states = magnitudes(motion.state, motion.noise, reach)
+    states = magnitudes(motion, reach)
     seen = _joined(before, exact.state, exact.noise)
     if seen.shape[-2]:
         # The centre follows the readings through the pseudo-inverse of what they see.
-        followed = np.abs(image @ np.linalg.pinv(seen, rcond=_RANK_TOLERANCE))
-        outputs = magnitudes(exact.state, exact.noise, reach) + np.abs(exact.values)
+        followed = np.abs(image @ pseudo_inverse(seen))
+        outputs = magnitudes(exact, reach) + np.abs(exact.values)
         states = states + multiply(followed, outputs)
     terms = image.shape[-1] + before.centre.shape[-1] + states.shape[-1]
-    largest = rounding_bound(terms) * states.max(-1, keepdims=True)
-    return np.broadcast_to(largest, states.shape)
+    return rounding_bound(terms) * states

@@ -10,7 +10,9 @@ import numpy as np
 
 from concord.filters.lanes import join_columns
 from concord.filters.linalg import multiply
-from concord.filters.sets.ellipsoid import Ellipsoid, rounding_bound
+from concord.filters.sets.criterion import Criterion, unit_free
+from concord.filters.sets.ellipsoid import Ellipsoid
+from concord.filters.sets.rounding import rounding_bound, row_units
 
 
 class Zonotope(NamedTuple):
@@ -47,16 +49,17 @@ def moved(
     return grown(Zonotope(centre, join_columns(spread, noise)), rounding * largest)
 
 
-def reduced(zonotope: Zonotope, generators: int) -> Zonotope:
+def reduced(zonotope: Zonotope, generators: int, criterion: Criterion = unit_free) -> Zonotope:
     """A zonotope around it with at most so many generators, not less than n.
 
-    The shortest give way to a box around their sum (Girard (2005), Reachability of uncertain linear
-    systems using zonotopes, section 3.4; by Euclidean length, Combastel (2003)).
+    The shortest, in the weights of the criterion, give way to a box around their sum (Girard
+    (2005), Reachability of uncertain linear systems using zonotopes, section 3.4; by Euclidean
+    length, Combastel (2003)).
     """
     n, count = zonotope.generators.shape[-2:]
     if count <= generators:
         return zonotope
-    order = np.argsort(-(zonotope.generators**2).sum(-2), axis=-1, kind="stable")
+    order = np.argsort(-_squared_lengths(zonotope, criterion), axis=-1, kind="stable")
     sorted_ = np.take_along_axis(zonotope.generators, order[..., None, :], -1)
     kept, boxed = sorted_[..., : generators - n], sorted_[..., generators - n :]
     box = np.abs(boxed).sum(-1) * (1.0 + rounding_bound(count))
@@ -72,7 +75,7 @@ def reduced_to(zonotope: Zonotope, generators: int) -> Zonotope:
     if count <= generators:
         missing = np.zeros((*zonotope.centre.shape, generators - count))
         return Zonotope(zonotope.centre, join_columns(zonotope.generators, missing))
-    lengths = (zonotope.generators**2).sum(-2)
+    lengths = _squared_lengths(zonotope, unit_free)
     few = np.count_nonzero(lengths, axis=-1) <= generators
     boxed = reduced(zonotope, generators)
     if not few.any():
@@ -84,24 +87,29 @@ def reduced_to(zonotope: Zonotope, generators: int) -> Zonotope:
 
 def parallelotope(zonotope: Zonotope) -> Zonotope:
     """A zonotope with n generators around it: a box along its principal axes or along the state's,
-    whichever is narrower in the sum of its half-widths."""
-    _, axes = np.linalg.eigh(zonotope.generators @ zonotope.generators.mT)
-    lengths = np.abs(axes.mT @ zonotope.generators).sum(-1)
+    whichever is narrower in the sum of its half-widths, each in units of the zonotope's own."""
+    units = row_units(half_widths(zonotope)[..., None])[..., None]
+    own = zonotope.generators / units
+    _, axes = np.linalg.eigh(own @ own.mT)
+    lengths = np.abs(axes.mT @ own).sum(-1)
     # The axes are orthogonal but for rounding, which shows where a box is thin.
     rounding = rounding_bound(zonotope.generators.shape[-1])
     lengths = lengths + rounding * lengths.sum(-1, keepdims=True)
     turned = axes * lengths[..., None, :]
-    straight = half_widths(zonotope)[..., None] * np.eye(axes.shape[-1])
+    straight = np.abs(own).sum(-1)[..., None] * np.eye(axes.shape[-1])
     narrower = np.abs(turned).sum((-1, -2)) < np.abs(straight).sum((-1, -2))
-    return Zonotope(zonotope.centre, np.where(narrower[..., None, None], turned, straight))
+    box = np.where(narrower[..., None, None], turned, straight)
+    return Zonotope(zonotope.centre, units * box)
 
 
 def enclosing_ellipsoid(zonotope: Zonotope) -> Ellipsoid:
-    """An ellipsoid around it: the least trace among shapes sum_i g_i g_i' / w_i, sum w = 1.
+    """An ellipsoid around it: the least trace, in units of the half-widths, of its family.
+
+    The family is the shapes sum_i g_i g_i' / w_i, sum w = 1.
 
     It holds because sum_i c_i g_i with |c_i| <= 1 is sum_i (c_i sqrt w_i) g_i / sqrt w_i.
     """
-    lengths = np.sqrt((zonotope.generators**2).sum(-2, keepdims=True))
+    lengths = np.sqrt(_squared_lengths(zonotope, unit_free))[..., None, :]
     total = lengths.sum(-1, keepdims=True)
     stretch = np.sqrt(np.divide(total, lengths, out=np.zeros_like(lengths), where=lengths > 0))
     return Ellipsoid(zonotope.centre, zonotope.generators * stretch)
@@ -115,9 +123,11 @@ def intersection(own: Zonotope, other: Zonotope) -> Zonotope:
     observers, with a set in place of a reading. Where that is no narrower in the sum of
     half-widths, `own` stays.
     """
-    first = own.generators @ own.generators.mT
-    second = other.generators @ other.generators.mT
+    units = row_units(join_columns(own.generators, other.generators))[..., None]
+    first, second = own.generators / units, other.generators / units
+    first, second = first @ first.mT, second @ second.mT
     weight = second @ np.linalg.pinv(first + second, hermitian=True)
+    weight = units * weight / units.mT
     rest = np.eye(weight.shape[-1]) - weight
     # The difference of the centres, not the centres: those may be large and nearly equal.
     centre = own.centre + multiply(rest, other.centre - own.centre)
@@ -183,11 +193,19 @@ def gauge(zonotope: Zonotope, point: np.ndarray) -> float:
 
 
 def _narrower(own: Zonotope, other: Zonotope) -> Zonotope:
-    """The one with the smaller sum of half-widths, lane by lane; `other` has more generators."""
+    """The one with the smaller sum of half-widths, in units of those of `own`, lane by lane;
+    `other` has more generators."""
     more = other.generators.shape[-1] - own.generators.shape[-1]
     stay = join_columns(own.generators, np.zeros((*other.centre.shape, more)))
-    wider = half_widths(other).sum(-1) >= half_widths(own).sum(-1)
+    weights = unit_free(half_widths(own))
+    wider = (weights * half_widths(other)).sum(-1) >= (weights * half_widths(own)).sum(-1)
     return Zonotope(
         np.where(wider[..., None], own.centre, other.centre),
         np.where(wider[..., None, None], stay, other.generators),
     )
+
+
+def _squared_lengths(zonotope: Zonotope, criterion: Criterion) -> np.ndarray:
+    """Of the generators (..., q), each state with its weight."""
+    weights = criterion(half_widths(zonotope))[..., None]
+    return ((weights * zonotope.generators) ** 2).sum(-2)

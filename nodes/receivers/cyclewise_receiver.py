@@ -13,8 +13,8 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.lanes import join_entries
 from concord.filters.linalg import multiply
+from concord.filters.sets.bus_readings import lifted_evidence
 from concord.filters.sets.ellipsoid import Ellipsoid, from_shape, image, moved
-from concord.filters.sets.evidence import BoundedMotion, Readings, bus_evidence
 from concord.filters.sets.histories import CycleStep, augmented_prior
 from concord.filters.sets.lifted_cycle import LiftedCycle, augment, lift
 from concord.filters.sets.tight_estimator import conditioned_step
@@ -53,16 +53,7 @@ def conditioned_cycle(kept: Ellipsoid, cycle: ReceivedCycle) -> tuple[Ellipsoid,
     lifted, result = cycle.lifted, cycle.result
     n = kept.centre.shape[-1]
     values = np.where(cycle.fresh, cycle.values, np.nan)
-    outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape))
-    evidence = bus_evidence(
-        BoundedMotion(lifted.states, lifted.states_noise),
-        outputs,
-        values.shape[-1] - len(lifted.weights),
-        lifted.weights,
-        cycle.before,
-        result.winner,
-        result.limit,
-    )
+    evidence = lifted_evidence(lifted, values, cycle.before, result.winner, result.limit)
     after = conditioned_step(kept, told_only(evidence, result))
     return after, image(after, np.eye(len(lifted.states))[-n:])
 
@@ -72,7 +63,7 @@ def augmented_cycle(
 ) -> tuple[Ellipsoid, Ellipsoid]:
     """The paper's estimator, exact or fast, on the augmented state; returns as `conditioned_cycle`.
 
-    Lost values have no row, and the losers of which the winner tells nothing have no weight.
+    Lost values are NaN, and the losers of which the winner tells nothing have no weight.
     """
     lifted, result = cycle.lifted, cycle.result
     contending = len(lifted.weights)
@@ -83,14 +74,9 @@ def augmented_cycle(
     # Of the contenders the winner alone has changed what it holds.
     of_winner = (weights * change**2).sum(-1)
     excess = np.where(result.told.any(-1), np.maximum(result.limit - of_winner, 0.0), 0.0)
-    model = augment(lifted, winner, excess)
+    model = augment(lifted, winner, excess)._replace(weights=weights)
     rows = join_entries(cycle.fresh[..., :static], np.ones(contending, dtype=bool))
-    model = model._replace(
-        output=model.output * rows[..., None],
-        output_noise=model.output_noise * rows[..., None, None],
-        weights=weights,
-    )
-    after = step(kept, model, np.where(rows, cycle.values, 0.0)).after
+    after = step(kept, model, np.where(rows, cycle.values, np.nan)).after
     return image(after, np.eye(after.centre.shape[-1])[: len(lifted.states)]), after
 
 

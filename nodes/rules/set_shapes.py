@@ -12,8 +12,9 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 from concord.filters.sets import ellipsoid, zonotope
-from concord.filters.sets.ellipsoid import Ellipsoid, rounding_bound
+from concord.filters.sets.ellipsoid import Ellipsoid
 from concord.filters.sets.ellipsoid_intersection import intersection, strip_intersection
+from concord.filters.sets.rounding import rounding_bound
 from concord.filters.sets.zonotope import Zonotope
 from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.rules.lane_rule import mapped

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.sets.bus_readings import MeasuredPlant
+from concord.filters.sets.criterion import plain_trace
 from concord.filters.sets.recursive_estimator import optimal_step
 from concord.papers.liu2021.runs import (
     PLANT,
@@ -13,6 +14,7 @@ from concord.papers.liu2021.runs import (
     SequenceBatch,
     by_cycle,
     initial_and_noise,
+    printed_step,
     tight,
 )
 from concord.plants import liu2021
@@ -48,7 +50,7 @@ def by_slots(seed: int, sequences: int) -> list[tuple[ComparedSets, ComparedSets
         bus = bus_of_outputs(liu2021.OUTPUTS, static, plant.weights)
         batch = SequenceBatch(states, delivered(bus, static, outputs))
         label = _PROTOCOLS.get(static, f"FlexRay, {static} in turn")
-        paper = by_cycle(optimal_step, batch, plant=plant)
+        paper = by_cycle(printed_step, batch, plant=plant)
         compared.append((_row(label, paper), _row(label, tight(batch, plant))))
     return compared
 
@@ -60,7 +62,7 @@ def by_shape(batch: SequenceBatch) -> list[tuple[ComparedSets, ComparedSets]]:
     for shape in SHAPES:
         plant = MeasuredPlant(_with_shape(shape), liu2021.STATIC_OUTPUTS, liu2021.weights)
         label = f"W = {shape:g}"
-        paper = by_cycle(optimal_step, alone, plant=plant)
+        paper = by_cycle(printed_step, alone, plant=plant)
         compared.append((_row(label, paper), _row(label, tight(alone, plant))))
     return compared
 
@@ -69,7 +71,7 @@ def multipliers_apart(
     batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]
 ) -> dict[str, BoundedEstimates]:
     """The paper's estimator, with a multiplier for each noise sample, and cut by the data too."""
-    apart = by_cycle(partial(optimal_step, samples_apart=True), batch)
+    apart = by_cycle(partial(optimal_step, criterion=plain_trace, samples_apart=True), batch)
     return {
         "paper: one multiplier for all samples": outcomes["paper"],
         "a multiplier for each sample": apart,

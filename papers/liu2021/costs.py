@@ -11,8 +11,8 @@ from concord.filters.sets.bus_readings import augmented
 from concord.filters.sets.cycle import turned
 from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
 from concord.filters.sets.multipliers import Problem
-from concord.filters.sets.recursive_estimator import optimal_step, problem
-from concord.papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch
+from concord.filters.sets.recursive_estimator import problem
+from concord.papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch, printed_step
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 _REPETITIONS = 3
@@ -60,7 +60,7 @@ def _by_solver(batch: SequenceBatch, reduce: bool) -> tuple[float, float]:
         position = turned(kept.factor, model) if reduce else kept.factor
         lane = problem(kept, model, position)
         lane = Problem(lane.terms[0], lane.balls, lane.image[0], lane.known[0])
-        kept = optimal_step(kept, model, batch.received.values[:, cycle]).after
+        kept = printed_step(kept, model, batch.received.values[:, cycle]).after
         solve = solve or matrix_inequality(lane)
         started = time.perf_counter()
         solution = _solution(solve, lane)

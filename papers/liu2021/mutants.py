@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.measurement_bus import MeasurementBus
-from concord.filters.sets.recursive_estimator import optimal_step
 from concord.papers.liu2021.runs import (
     BUS,
     BoundedEstimates,
     SequenceBatch,
     by_cycle,
     paper,
+    printed_step,
     simulate,
 )
 
@@ -34,7 +34,7 @@ class Mutant(NamedTuple):
 
 def mutant_of_sign(batch: SequenceBatch) -> Mutant:
     """The sign of Xi in (20) flipped, which is the same as negative weights."""
-    return _mutant(by_cycle(optimal_step, batch, lambda c: c._replace(weights=-c.weights)))
+    return _mutant(by_cycle(printed_step, batch, lambda c: c._replace(weights=-c.weights)))
 
 
 def mutant_of_rule(seed: int, sequences: int, cycles: int) -> Mutant:

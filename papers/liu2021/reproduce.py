@@ -83,6 +83,7 @@ def _write(folder: Path, batch: SequenceBatch, outcomes: dict[str, BoundedEstima
         name = name.replace("-", "_")
         variables[f"{name}_radius"] = ((time, "sequence"), one.radius)
         variables[f"{name}_trace"] = ((time, "sequence"), one.trace)
+        variables[f"{name}_gap"] = ((time, "sequence"), one.gap)
         variables[f"{name}_centre"] = ((time, "sequence", "x"), one.centre)
         variables[f"{name}_half_width"] = ((time, "sequence", "x"), one.half_widths)
     write_traces(folder, variables, {})

@@ -13,8 +13,7 @@ from concord.bus.measurement_bus import MeasurementBus
 from concord.filters.lanes import join_columns
 from concord.filters.sets.bus_readings import augmented
 from concord.filters.sets.ellipsoid import Ellipsoid, squared
-from concord.filters.sets.recursive_estimator import optimal_step
-from concord.papers.liu2021.runs import BUS, HELD, PLANT, G, N
+from concord.papers.liu2021.runs import BUS, HELD, PLANT, G, N, printed_step
 from concord.plants import liu2021
 from concord.scenarios.definitions.measurement_runs import delivered
 
@@ -74,7 +73,7 @@ def gains_of_tables() -> np.ndarray:
     kept, gains = Ellipsoid(np.zeros(size), np.eye(size)), []
     for cycle in range(cycles):
         model = augmented(PLANT, received, cycle)
-        step = optimal_step(kept, model, received.values[cycle])
+        step = printed_step(kept, model, received.values[cycle])
         gains.append(step.gain)
         hair = np.sqrt(_HAIR) * np.eye(size)
         kept = Ellipsoid(step.after.centre, squared(join_columns(step.after.factor, hair)))

@@ -51,7 +51,7 @@ def bus_of_outputs(outputs: int, static_outputs: int, weights: WeightsAtStep) ->
 
 def delivered(bus: MeasurementBus, static_outputs: int, outputs: np.ndarray) -> DeliveredValues:
     """Send scalar outputs (..., cycles (l + 1), m) over a bus (`bus_of_outputs`) cycle by cycle;
-    the values held begin at zero.
+    the values held begin at zero. An output that is NaN is not sent.
 
     Raises:
         ValueError: the outputs do not fill whole cycles.
@@ -61,8 +61,10 @@ def delivered(bus: MeasurementBus, static_outputs: int, outputs: np.ndarray) -> 
         raise ValueError(f"{steps} steps do not fill cycles of {length}; simulate a multiple of it")
     held = np.zeros((*outputs.shape[:-2], outputs.shape[-1]))
     contending = slice(static_outputs, None)
+    in_turn = np.arange(outputs.shape[-1]) < static_outputs
     values, before, winners, limits = [], [], [], []
     for last in range(static_outputs, steps, length):
+        held = np.where(in_turn, np.nan, held)
         for step in range(last - static_outputs, last):
             held = bus.transmit(step, outputs[..., step, :], held).received
         sent = bus.transmit(last, outputs[..., last, :], held)
@@ -73,8 +75,10 @@ def delivered(bus: MeasurementBus, static_outputs: int, outputs: np.ndarray) -> 
         bids = np.where(sent.sent, np.stack(each, -1), -1)[..., contending]
         held = sent.received
         values.append(held)
-        winners.append(bids.argmax(-1) if bids.shape[-1] else np.zeros(held.shape[:-1], int))
-        limits.append(largest_change(bids.max(-1, initial=-1)))
+        largest = bids.max(-1, initial=-1)
+        first = bids.argmax(-1) if bids.shape[-1] else np.zeros(held.shape[:-1], int)
+        winners.append(np.where((largest < 0) & bool(bids.shape[-1]), -1, first))
+        limits.append(largest_change(largest))
     winner, limit = np.stack(winners, -1), np.stack(limits, -1)
     return DeliveredValues(np.stack(values, -2), np.stack(before, -2), winner, limit)
 

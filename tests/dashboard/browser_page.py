@@ -5,7 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.app import Dashboard
+from concord.dashboard.serve import open_recording
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
+from tests.dashboard.runs import setup_of
 
 _READY = (
     "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"
@@ -54,6 +59,19 @@ def point_at(page: Any, selector: str) -> None:
 def _middle(page: Any, selector: str) -> list[float]:
     """Where the middle of an element is, as soon as there is one."""
     return page.wait_for_function(_MIDDLE, arg=selector, polling=50).json_value()
+
+
+def recorded_page(browser: Any, folder: Path, light: bool = False, **changes: Any) -> "Page":
+    """Run target-tracking with these settings; return a page at rest on its recording."""
+    setup = setup_of("target-tracking", **changes)
+    file = folder / "run.mcap"
+    recorder = McapRecorder(file, setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES)
+    drive(setup, recorder, lambda _: None)
+    recorder.close()
+    (folder / "run.json").write_text("{}")
+    dashboard = open_recording(setup, file, "127.0.0.1", 0, light)
+    dashboard.view.playing = dashboard.view.follow = False
+    return Page(dashboard, browser)
 
 
 class Page:

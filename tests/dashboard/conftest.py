@@ -16,10 +16,15 @@ FLAGS = (
 HOW = "needs a browser: `make browser` as root on Debian, or `apt-get install chromium`"
 
 
+def browser_path() -> str | None:
+    """The browser that is installed; None where there is none."""
+    return shutil.which("chromium") or shutil.which("chromium-browser")
+
+
 @pytest.fixture(scope="session")
 def chromium() -> Iterator:
     """A headless Chromium; skips where there is none."""
-    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    path = browser_path()
     if path is None:
         pytest.skip(HOW)
     playwright_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")

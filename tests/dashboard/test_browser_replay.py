@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from concord.bus.flexray.share_frames import SHARE_FRAMES
-from concord.dashboard.serve import open_recording
-from concord.runtime.drivers import drive
-from concord.runtime.recording import McapRecorder
-from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
-from tests.dashboard.runs import setup_of
+from tests.dashboard.browser_page import Page, point_at, press_on, recorded_page, row_of, slot_of
 
 # One after the other: a node that is pressed, and then where the pointer is.
 _PRESS_AND_MOVE_ON = """([first, second, third]) => {
@@ -30,17 +25,8 @@ _PRESS_AND_MOVE_ON = """([first, second, third]) => {
 
 @pytest.fixture(scope="module")
 def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    setup = setup_of("target-tracking", nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     folder = tmp_path_factory.mktemp("recorded")
-    recorder = McapRecorder(
-        folder / "run.mcap", setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES
-    )
-    drive(setup, recorder, lambda _: None)
-    recorder.close()
-    (folder / "run.json").write_text("{}")
-    dashboard = open_recording(setup, folder / "run.mcap", "127.0.0.1", 0, light=False)
-    dashboard.view.playing = dashboard.view.follow = False
-    shown = Page(dashboard, chromium)
+    shown = recorded_page(chromium, folder, nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     yield shown
     shown.close()
 
@@ -104,6 +90,19 @@ def test_pause_and_resume(page: Page):
     for _ in range(3):
         page.draw()
     assert page.text("step") == step
+
+
+def test_the_end_is_reached_while_the_recording_plays_and_resume_begins_again(page: Page):
+    for go in (lambda: page.press("Go to the end"), lambda: page.key("g")):
+        page.dashboard.inputs.alter(lambda view: view.look_at(5))
+        page.press("Resume")
+        page.until(lambda: page.text("run-state") == "RUNNING")
+        go()
+        page.until(lambda: page.text("step") == "39" and page.text("run-state") == "PAUSED")
+    page.press("Resume")
+    page.until(lambda: page.text("run-state") == "RUNNING" and int(page.text("step")) < 39)
+    page.press("Pause")
+    page.until(lambda: page.text("run-state") == "PAUSED")
 
 
 def test_one_step(page: Page):
@@ -334,7 +333,13 @@ def test_exports(page: Page):
     assert colours_of(page.download("Charts (.png)")) > 20
     archive = zipfile.ZipFile(io.BytesIO(page.download("Run folder (.zip)")))
     assert {Path(name).name for name in archive.namelist()} == {"run.mcap", "run.json"}
-    assert colours_of(page.download("Scene (.png)")) > 20
+    picture = imread(io.BytesIO(page.download("Scene (.png)")), format="png")
+    # The ground is opaque, and the title and the legend are written on it.
+    assert (picture.shape[-1] == 3) or (picture[..., 3] == 1).all()
+    assert picture.shape[1] >= 1600
+    ground = picture[-3, -3, :3]
+    for strip in (picture[10:32], picture[-90:]):
+        assert (np.abs(strip[..., :3] - ground).max(-1) > 0.4).sum() > 500
 
 
 def colours_of(picture: bytes) -> int:

@@ -3,9 +3,11 @@
 import logging
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.bus_cycles import BusView
 from concord.dashboard.frames.frame import BusCycle, StepFrame
@@ -13,9 +15,11 @@ from concord.dashboard.frames.source import SourceState
 from concord.dashboard.frames.stage import restaged
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.panels.timeline_marks import BAR, LEFT, RIGHT, ROW, TOP, WIDTH
-from concord.dashboard.serve import open_network
+from concord.dashboard.serve import open_network, open_recording
 from concord.dashboard.theme import DARK
-from tests.dashboard.runs import frames_of, run_of
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
+from tests.dashboard.runs import frames_of, run_of, setup_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
 AFTER = restaged(STAGE, {"occupancy": 0.5, "schedule": "hybrid"})
@@ -59,6 +63,28 @@ def test_a_past_cycle_is_drawn_with_its_own_timetable_and_to_the_same_scale():
     assert own == pytest.approx([LEFT + scale * f.start_us for f in after.frames], abs=0.1)
 
 
+def test_past_cycles_show_the_frames_that_were_missed_and_rejected():
+    stage, messages = run_of(
+        "target-tracking", nodes=8, steps=12, changes=("3 loss 0.3", "6 corrupt 0.4")
+    )
+    frames = frames_of(stage, messages)
+    assert not any(cycle.missed or cycle.rejected for f in frames[:3] for cycle in f.cycles)
+    past = [cycle for frame in frames for cycle in frame.cycles]
+    # A node holds an older share than the frame that it missed.
+    for frame in frames:
+        lost = {int(sender) for sender in stage.heard[frame.lost, 1]}
+        assert lost == set(frame.cycles[-1].missed)
+        counted = frame.traffic.rejected.sum()
+        before = frames[frame.step - 1].traffic.rejected.sum() if frame.step else 0
+        assert bool(frame.cycles[-1].rejected) == (counted > before)
+    assert sum(len(cycle.missed) for cycle in past) > 20
+    shown = past[-12:]
+    html = TimelineView(stage).draw(DARK, frames[-1], shown[-2::-1], shown[-1], 0.0, None)
+    marks = re.findall(r'class="missed" d="([^"]*)"', html)
+    assert sum(mark.count("M") for mark in marks) == sum(len(c.missed) for c in shown[:-1])
+    assert html.count('class="rejected"') == sum(bool(c.rejected) for c in shown[:-1]) > 0
+
+
 def test_a_run_that_is_changed_after_a_kill_keeps_the_bus_of_each_cycle():
     stage, messages = run_of(
         "target-tracking",
@@ -78,6 +104,30 @@ def test_a_run_that_is_changed_after_a_kill_keeps_the_bus_of_each_cycle():
             cycle for one in frames for cycle in one.cycles if cycle.cycle < frame.cycles[0].cycle
         ]
         assert view.draw(DARK, frame, past[::-1], frame.cycles[0], 0.0, None).count("<svg") == 1
+
+
+def test_a_page_on_a_recording_shows_the_settings_of_the_shown_step(tmp_path: Path):
+    changes = ("3 set occupancy=0.5 schedule=hybrid", "5 set rule=hcmci", "7 set rounds=5")
+    setup = setup_of("target-tracking", nodes=8, steps=12, changes=changes)
+    recorder = McapRecorder(
+        tmp_path / "run.mcap", setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES
+    )
+    drive(setup, recorder, lambda _: None)
+    recorder.close()
+    page = open_recording(setup, tmp_path / "run.mcap", "127.0.0.1", 0, light=False)
+    try:
+        # To the end and back: a step of the past keeps its own settings.
+        shown_steps = ((1, "ci, 3 rounds"), (11, "hcmci, 5 rounds"), (4, "ci, 3 rounds"))
+        for number, (step, words) in enumerate(shown_steps):
+            page.inputs.alter(lambda view, step=step: view.look_at(step))
+            turns(page, 10.0 * (number + 1), 3)
+            assert f", {words}<" in page.controls.status.content
+            shown = page.history.at(step).cycles[-1].bus
+            assert f"cycle {shown.cycle_us / 1e3:.4g} ms" in page.page._bus.content
+            assert ("DYNAMIC" in page.page._bus.content) == (step >= 3)
+            assert page._shown().stage.rounds == int(words.split()[1])
+    finally:
+        page.close()
 
 
 class Script:

@@ -10,7 +10,7 @@ import pytest
 from concord.dashboard.frames.expected import nothing_expected
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.scores import score
-from concord.dashboard.panels.chart import Chart, Curve, Drawn
+from concord.dashboard.panels.chart import Curve, Drawn
 from concord.dashboard.panels.chart_export import charts_page, charts_picture
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import sampled, shown_power, titled
@@ -33,30 +33,35 @@ def chart(title: str, *columns: np.ndarray) -> Drawn:
     return Drawn(title, times_s, tuple(curves))
 
 
-def plain(name: str, unit: str) -> Chart:
-    """Return a chart without lines."""
-    return Chart(name, unit, ())
-
-
 RISING, NOTHING = np.linspace(0, 3, 50), np.full(50, np.nan)
 VIEW = View(step=41)
 
 
 @pytest.mark.parametrize(
     ("largest", "power"),
-    [(12.0, 0), (0.02, 0), (0.011, -3), (0.0011, -3), (4e-5, -6), (0.0, 0), (3e-19, -12)],
+    [
+        (3.2e4, 0),
+        (4.5e5, 3),
+        (12.0, 0),
+        (0.02, 0),
+        (0.011, -3),
+        (0.0011, -3),
+        (4e-5, -6),
+        (0.0, 0),
+        (3e-19, -12),
+    ],
 )
 def test_what_is_small_is_shown_in_a_power_of_ten_that_leaves_digits(largest: float, power: int):
     shown = shown_power([np.array([0.0, largest]), np.zeros(2)])
     assert shown == power
-    assert largest < 1e-14 or 0.02 <= largest * 10.0**-shown < 1000
+    assert largest < 1e-14 or 0.02 <= largest * 10.0**-shown < 1e5
 
 
 def test_titles_name_the_unit_and_the_power():
-    assert titled(plain("RMSE", "m"), 0) == "RMSE [m]"
-    assert titled(plain("RMSE", "rad"), -3) == "RMSE [10⁻³ rad]"
-    assert titled(plain("NEES", "1"), 0) == "NEES"
-    assert titled(plain("RMSE", "1"), -12) == "RMSE [10⁻¹² ]".replace(" ]", "]")
+    assert titled("RMSE", "m", 0) == "RMSE [m]"
+    assert titled("RMSE", "rad", -3) == "RMSE [10⁻³ rad]"
+    assert titled("NEES", "1", 0) == "NEES"
+    assert titled("RMSE", "1", -12) == "RMSE [10⁻¹² ]".replace(" ]", "]")
 
 
 def test_a_colour_means_one_thing_in_a_chart():
@@ -85,8 +90,8 @@ def test_charts_show_the_numbers_of_the_frames():
     off = last.belief.mean[2, 1] - last.truth[1]
     deviation = np.sqrt(last.belief.cov[2, 1, 1])
     expected = {
-        ("RMSE of the nodes", "nodes"): last.scores.rmse,
-        ("Disagreement of the nodes", "rms spread"): last.scores.spread,
+        ("RMSE of the nodes, x", "nodes"): last.scores.rmse,
+        ("Disagreement of the nodes, x", "rms spread"): last.scores.spread,
         ("NEES, mean of the nodes", "NEES"): last.scores.nees,
         ("Payload on the bus", "payload"): sent / STAGE.setup.time_step_s / 1000,
         ("State", "truth"): last.truth[1],

@@ -29,6 +29,25 @@ def test_a_recording_that_is_still_read_waits_at_its_end():
     assert view.playing
 
 
+def test_a_recording_at_its_end_plays_from_its_beginning():
+    view = View(playing=False, follow=False, step=99)
+    view.play(20, 99)
+    assert (view.step, view.playing) == (20, True)
+    play_recorded(view, EXTENT, 0.5, time_step_s=0.5)
+    assert view.step == 21
+    view.playing = False
+    view.play(20, 99)
+    assert view.step == 21
+
+
+def test_the_end_is_shown_also_while_a_recording_plays():
+    view = View(step=7)
+    assert view.playing
+    view.go_to_end()
+    play_recorded(view, EXTENT, 0.1, time_step_s=0.5)
+    assert (view.step, view.playing) == (99, False)
+
+
 def test_a_paused_recording_stays_at_its_step_and_sweeps_the_cycles_once():
     view = View(playing=False, follow=False, step=7)
     for _ in range(100):

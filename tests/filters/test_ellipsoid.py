@@ -6,6 +6,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
+from concord.filters.sets.criterion import plain_trace, unit_free
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     from_shape,
@@ -73,7 +74,7 @@ def test_a_flat_ellipsoid_holds_its_plane_and_nothing_beside_it():
 def test_the_sum_holds_every_sum_and_has_the_least_trace(seed: int, n: int):
     rng = np.random.default_rng(seed)
     first, second = rng.standard_normal((n, n)), rng.standard_normal((n, 2))
-    both = Ellipsoid(np.zeros(n), sum_factor(first, second))
+    both = Ellipsoid(np.zeros(n), sum_factor(first, second, plain_trace))
     for _ in range(20):
         point = on_the_edge(rng, Ellipsoid(np.zeros(n), first))
         point = on_the_edge(rng, Ellipsoid(point, second))
@@ -81,6 +82,11 @@ def test_the_sum_holds_every_sum_and_has_the_least_trace(seed: int, n: int):
     p1, p2 = first @ first.T, second @ second.T
     family = [(1 + b) * p1 + (1 + 1 / b) * p2 for b in np.logspace(-3, 3, 200)]
     assert np.trace(shape_matrix(both)) <= min(map(np.trace, family)) + 1e-12
+    # The same in units of the half-widths of both.
+    own = sum_factor(first, second)
+    square = 1.0 / np.diag(p1 + p2)
+    least = min(float(square @ np.diag(one)) for one in family)
+    assert square @ np.diag(own @ own.T) <= least + 1e-12
 
 
 def test_a_sum_with_a_point_adds_nothing():
@@ -146,11 +152,12 @@ def test_no_common_point_is_lost(seed: int, n: int, own_depth: float, other_dept
     assume(max(squared_radius(own, truth), squared_radius(other, truth)) <= 1)
     both = intersection(own, other)
     assert squared_radius(both, truth) <= 1
-    assert np.trace(shape_matrix(both)) <= np.trace(shape_matrix(own)) * (1 + 1e-12)
+    weights = unit_free(half_widths(own))
+    assert ((weights * half_widths(both)) ** 2).sum() <= n * (1 + 1e-12)
     row, half_width = rng.standard_normal(n), 10.0 ** rng.uniform(-6, 1)
     cut = strip_intersection(own, row, row @ truth + other_depth * half_width, half_width)
     assert squared_radius(cut, truth) <= 1
-    assert np.trace(shape_matrix(cut)) <= np.trace(shape_matrix(own)) * (1 + 1e-12)
+    assert ((weights * half_widths(cut)) ** 2).sum() <= n * (1 + 1e-12)
 
 
 @settings(max_examples=15)
@@ -161,6 +168,7 @@ def test_the_intersection_has_the_least_trace_of_its_family(seed: int, n: int):
     truth = rng.standard_normal(n)
     own, other = around(rng, truth, 0.9), around(rng, truth, 0.9)
     a, b = np.linalg.inv(shape_matrix(own)), np.linalg.inv(shape_matrix(other))
+    weights = unit_free(half_widths(own))
 
     def trace(log_odds: float) -> float:
         share = 1 / (1 + np.exp(-log_odds))
@@ -168,13 +176,14 @@ def test_the_intersection_has_the_least_trace_of_its_family(seed: int, n: int):
         c = np.linalg.solve(x, (1 - share) * a @ own.centre + share * b @ other.centre)
         d, e = own.centre - c, other.centre - c
         room = 1 - (1 - share) * d @ a @ d - share * e @ b @ e
-        return float(room * np.trace(np.linalg.inv(x)))
+        return float(room * (weights**2 @ np.diag(np.linalg.inv(x))))
 
     grid = np.linspace(-18, 18, 200)
     best = grid[int(np.argmin([trace(one) for one in grid]))]
     found = minimize_scalar(trace, bounds=(best - 0.4, best + 0.4), options={"xatol": 1e-7})
-    least = min(float(found.fun), float(np.trace(shape_matrix(own))))  # pyright: ignore[reportAttributeAccessIssue]
-    assert np.trace(shape_matrix(intersection(own, other))) == pytest.approx(least, rel=1e-4)
+    least = min(float(found.fun), float(n))  # pyright: ignore[reportAttributeAccessIssue]
+    both = half_widths(intersection(own, other))
+    assert ((weights * both) ** 2).sum() == pytest.approx(least, rel=1e-4)
 
 
 def test_sets_without_a_common_point_are_lost_and_alone():

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.filters.sets.bus_readings import MeasuredPlant
+from concord.filters.sets.histories import sets_over
 from concord.filters.sets.lifted_cycle import augment, lift
 from concord.plants import liu2021
 from concord.plants.bounded import BoundedSystem
@@ -71,6 +72,18 @@ def test_static_outputs_are_of_their_own_step_and_losers_are_held():
     np.testing.assert_array_equal(received.held[1], [0.0, 11.0])
     np.testing.assert_array_equal(received.values[1], [outputs[3, 0], outputs[4, 1], 22.0, 11.0])
     np.testing.assert_array_equal(received.winner, [1, 0])
+
+
+def test_an_output_without_a_value_is_not_received():
+    outputs = np.arange(24.0).reshape(6, 4)
+    outputs[3, 0] = outputs[5, 2:] = np.nan
+    received = transmit(outputs, 2, lambda _: np.ones(2))
+    # Nothing contends in the second cycle: both sides go on holding 0 and 11.
+    np.testing.assert_array_equal(received.values[1], [np.nan, outputs[4, 1], 0.0, 11.0])
+    np.testing.assert_array_equal(received.winner, [1, -1])
+    found = sets_over(EXAMPLE._replace(weights=lambda _: np.ones(2)), received,
+                      np.zeros(4), 1e6 * np.eye(4), "paper")  # fmt: skip
+    assert np.isfinite(found.sets[-1].centre).all()
 
 
 def test_weights_decide_and_the_first_wins_among_equals():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from concord.filters.sets.criterion import plain_trace
 from concord.filters.sets.ellipsoid import sum_factor
 from concord.filters.sets.multipliers import (
     Problem,
@@ -76,9 +77,10 @@ def test_the_matrix_inequality_holds_and_with_it_every_possible_point(seed: int)
 def test_any_feasible_multipliers_prove_an_ellipsoid_but_none_a_smaller_one(seed: int):
     rng = np.random.default_rng(seed)
     problem = random_problem(rng)
-    best = optimal_multipliers(problem)
+    best, below = optimal_multipliers(problem)
     least = (certified_bound(problem, best).factor ** 2).sum()
     assume(np.isfinite(least))
+    assert least * (1 - 1e-5) <= below <= least
     for _ in range(30):
         other = best * np.exp(rng.normal(0.0, 0.3, best.shape))
         bound = certified_bound(problem, other)
@@ -92,8 +94,8 @@ def test_two_balls_give_the_sum_of_two_ellipsoids(seed: int):
     rng = np.random.default_rng(seed)
     balls = np.array([np.diag([-1.0, 1, 1, 0, 0, 0]), np.diag([-1.0, 0, 0, 1, 1, 1])])
     image = np.hstack([np.zeros((3, 1)), rng.standard_normal((3, 5))])
-    bound = smallest_bound(Problem(balls, 2, image, np.eye(6)[:1]))
-    closed = sum_factor(image[:, 1:3], image[:, 3:])
+    bound = smallest_bound(Problem(balls, 2, image, np.eye(6)[:1]), plain_trace)
+    closed = sum_factor(image[:, 1:3], image[:, 3:], plain_trace)
     assert (bound.factor**2).sum() == pytest.approx((closed**2).sum(), rel=1e-5)
 
 
@@ -107,7 +109,7 @@ def test_against_a_semidefinite_solver():
         problem = random_problem(rng)
         solution = matrix_inequality(problem)(problem)
         assert solution.status == "optimal"
-        ours = (smallest_bound(problem).factor ** 2).sum()
+        ours = (smallest_bound(problem, plain_trace).factor ** 2).sum()
         assert ours == pytest.approx(np.trace(solution.shape), rel=1e-5)
 
 

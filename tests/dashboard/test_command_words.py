@@ -1,0 +1,153 @@
+"""Commands in words, their waiting while a network is paused, and the speed in force."""
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from concord.dashboard.app import Dashboard
+from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.source import CommandAnswer, SourceState
+from concord.dashboard.panels.command_words import in_a_sentence
+from concord.dashboard.serve import open_network
+from concord.runtime.whole_steps import WholeSteps
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ({"do": "kill", "node": 2}, "kill node 02"),
+        ({"do": "restart", "node": 2}, "restart node 02"),
+        ({"do": "cut", "sender": 1, "receiver": 7}, "cut the link between 01 and 07"),
+        (
+            {"do": "cut", "sender": 1, "receiver": 7, "both": False},
+            "cut the link from 01 to 07",
+        ),
+        ({"do": "heal"}, "heal every link"),
+        (
+            {"do": "loss", "probability": 0.25, "sender": 1, "receiver": 7},
+            "lose 25 % of the frames on the link between 01 and 07",
+        ),
+        ({"do": "loss", "probability": 0.1}, "lose 10 % of the frames on every link"),
+        ({"do": "partition", "nodes": (1, 2)}, "cut nodes 01, 02 off from the others"),
+        ({"do": "fault", "kind": "hang", "nodes": (3,), "numbers": (5.0,)}, "fault hang 03 5"),
+        ({"do": "set", "settings": {"rule": "ci", "rounds": 2}}, "set rule to ci, rounds to 2"),
+        ({"do": "speed", "steps_per_second": 5}, "at most 5 steps per second"),
+        ({"do": "speed", "steps_per_second": 0}, "as fast as possible"),
+        ({"do": "calm"}, "withdraw all faults"),
+    ],
+)  # fmt: skip
+def test_a_command_is_said_as_a_person_says_it(command: dict, words: str):
+    assert in_a_sentence(command, STAGE.names) == words
+
+
+class Scripted:
+    """A live source whose state a test sets, and which accepts all commands."""
+
+    live = takes_commands = True
+    stage = STAGE
+
+    def __init__(self) -> None:
+        self.frames = frames_of(STAGE, MESSAGES)[:6]
+        self.state = SourceState("PAUSED", "6 of 12 steps", 6, 5.0)
+
+    def poll(self):
+        frames, self.frames = self.frames, []
+        return frames
+
+    def pace(self) -> SourceState:
+        return self.state
+
+    def ask(self, command) -> CommandAnswer:
+        return CommandAnswer(True, "")
+
+    def close(self) -> None:
+        self.frames = []
+
+
+@pytest.fixture
+def source() -> Scripted:
+    return Scripted()
+
+
+@pytest.fixture
+def page(source: Scripted) -> Iterator[Dashboard]:
+    live: object = source
+    shown = open_network(live, None, "127.0.0.1", 0, light=False)  # type: ignore[arg-type]
+    yield shown
+    shown.close()
+
+
+def holds(page: Dashboard, condition: Callable[[], bool]) -> bool:
+    """Whether something comes to hold while the page is drawn."""
+    for number in range(200):
+        page.tick(10.0 + number)
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_changes_of_a_paused_network_wait_in_words_until_its_next_step(
+    page: Dashboard, source: Scripted
+):
+    told: list[str] = []
+    page.controls._commands.tell = lambda client, title, body, trouble: told.append(body)
+    assert holds(page, lambda: "PAUSED" in page.controls.status.content)
+    assert "waiting" not in page.controls.status.content
+    for command in ({"do": "kill", "node": 2}, {"do": "cut", "sender": 1, "receiver": 7}):
+        page.controls._commands.send(command, None)
+    words = "2 changes from the next step on: kill node 02; cut the link between 01 and 07"
+    assert holds(page, lambda: words in page.controls.status.content)
+    assert told[0] == "Kill node 02. It holds from the next step, which waits for Step or Resume."
+    source.state = source.state._replace(completed=7)
+    assert holds(page, lambda: "waiting" not in page.controls.status.content)
+
+
+def test_a_page_on_a_paused_network_says_that_it_waits_for_a_step(
+    page: Dashboard, source: Scripted
+):
+    source.frames, frames = [], source.frames
+    words = "no step yet; press Step, or N"
+    assert holds(page, lambda: words in page.controls.status.content)
+    # Nothing is drawn in place of what is not known.
+    assert all(not len(chart.times) for chart in page.page.charts.drawn)
+    source.frames = frames
+    assert holds(page, lambda: words not in page.controls.status.content)
+
+
+def test_the_filter_that_hears_everything_is_not_begun_in_the_middle():
+    whole = WholeSteps(STAGE.nodes, STAGE.rounds, STAGE.bus.frame_format)
+    steps = [step for topic, data in MESSAGES for step in whole.take(topic, data)]
+    from_start, from_middle = Assembler(STAGE), Assembler(STAGE)
+    for first, assembler in ((0, from_start), (5, from_middle)):
+        frames = [frame for frame in map(assembler.frame, steps[first:]) if frame is not None]
+        assert len(frames) == len(steps) - first
+        assert all(np.isfinite(frame.scores.central) == (first == 0) for frame in frames)
+
+
+def test_the_slider_shows_the_speed_in_force(page: Dashboard, source: Scripted):
+    assert holds(page, lambda: page.controls.speed.value == 5)
+    source.state = source.state._replace(steps_per_s=0.0)
+    assert holds(page, lambda: page.controls.speed.value == 0)
+
+
+def test_the_page_of_a_network_that_has_ended_plays_what_it_has_received(
+    page: Dashboard, source: Scripted
+):
+    assert holds(page, lambda: page.view.step == 5)
+    source.state = SourceState("ENDED", "12 of 12 steps")
+    assert holds(page, lambda: page.controls.pause.label == "Resume")
+    assert holds(page, lambda: page.controls.speed.label == "Speed")
+    assert not page.controls.pause.disabled
+    assert page.controls.network is not None
+    assert page.controls.network.apply.disabled
+    page.controls.toggle(None)
+    # From the beginning, as the last step was shown.
+    assert holds(page, lambda: page.view.playing and page.view.step < 5)
+    assert "ENDED" in page.controls.status.content
+    assert holds(page, lambda: page.view.step == 5 and not page.view.playing)

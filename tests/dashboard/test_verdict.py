@@ -1,0 +1,92 @@
+"""The verdict of the page: words that follow from errors, beliefs and the band."""
+
+import re
+
+import numpy as np
+import pytest
+
+from concord.dashboard.frames.expected import Expected, nothing_expected
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.verdict import STEPS, verdict
+from concord.dashboard.panels.help import HEADINGS, help_panel
+from concord.dashboard.theme import DARK
+from concord.dashboard.view import View
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=45)
+FRAMES = frames_of(STAGE, MESSAGES)[-STEPS:]
+STATES = len(STAGE.score.nees_states)
+UNKNOWN = nothing_expected(np.zeros(STEPS))
+
+
+def scored(**scores: float) -> list[StepFrame]:
+    """Return the newest frames with other scores."""
+    return [frame._replace(scores=frame.scores._replace(**scores)) for frame in FRAMES]
+
+
+@pytest.mark.parametrize(
+    ("times", "word"),
+    [(1.0, "CONSISTENT"), (1.3, "CONSISTENT"), (3.0, "OVERCONFIDENT × 3"), (0.4, "CAUTIOUS")],
+)
+def test_without_a_band_the_size_of_errors_beside_beliefs_decides(times: float, word: str):
+    # By definition the mean NEES of errors that are as large as believed is the number of states.
+    judged = verdict(scored(nees=times**2 * STATES), UNKNOWN)
+    assert judged.word == word
+    assert judged.is_good == (times < 2)
+    assert f"errors are {times:.2g} times what the nodes believe" in judged.reason
+
+
+@pytest.mark.parametrize(("level", "word"), [(5.0, "CONS"), (9.0, "OVER"), (1.0, "CAUT")])
+def test_a_band_decides_where_there_is_one(level: float, word: str):
+    band = Expected(np.full(STEPS, 2.0), np.full(STEPS, 8.0), np.full(STEPS, 1.0))
+    assert verdict(scored(nees=level), band).word.startswith(word)
+    # One step outside of it is chance.
+    some = [*scored(nees=5.0)[:-1], scored(nees=99.0)[-1]]
+    assert verdict(some, band).word == "CONSISTENT"
+
+
+def test_estimates_that_differ_by_more_than_believed_disagree():
+    believed = np.sqrt(np.mean([np.mean(frame.scores.width**2) for frame in FRAMES]))
+    assert verdict(scored(spread=0.9 * believed), UNKNOWN).word != "DISAGREEING"
+    judged = verdict(scored(spread=4.0 * believed), UNKNOWN)
+    assert (judged.word, judged.is_good) == ("DISAGREEING", False)
+    assert "by 4 times" in judged.reason
+
+
+def test_a_run_is_judged_once_its_steps_count_and_a_lie_is_found_out():
+    stage, messages = run_of("target-tracking", nodes=8, steps=70, changes=("40 lie 3 5 4",))
+    frames = frames_of(stage, messages)
+
+    def word(step: int) -> str:
+        judged = frames[max(0, step + 1 - STEPS) : step + 1]
+        return verdict(judged, nothing_expected(np.zeros(len(judged)))).word
+
+    assert word(5) == "SETTLING"
+    assert word(39) in ("CONSISTENT", "CAUTIOUS")
+    assert re.fullmatch(r"OVERCONFIDENT × \S+", word(69))
+
+
+def test_sets_that_do_not_hold_the_truth_are_overconfident():
+    stage, messages = run_of("liu2021-network", steps=40, rule="ellipsoid")
+    frame = frames_of(stage, messages)[-1]
+    wide = frame._replace(scores=frame.scores._replace(width=frame.scores.error + 1))
+    assert verdict([wide], UNKNOWN).word == "CONSISTENT"
+    narrow = frame._replace(scores=frame.scores._replace(width=frame.scores.error / 2))
+    judged = verdict([narrow], UNKNOWN)
+    assert (judged.word, judged.reason) == (
+        "OVERCONFIDENT",
+        f"{stage.nodes} sets do not hold the truth",
+    )
+
+
+def test_an_unknown_truth_gives_no_verdict():
+    nothing = float("nan")
+    assert verdict(scored(rmse=nothing, nees=nothing), UNKNOWN).word == "UNKNOWN"
+
+
+def test_the_help_names_every_verdict_every_heading_and_every_mark():
+    html = help_panel(View(theme=DARK), FRAMES[-1])
+    for word in ("CONSISTENT", "CAUTIOUS", "OVERCONFIDENT", "DISAGREEING", *HEADINGS, "NEES"):
+        assert f"<b>{word}</b>" in html
+    for word in ("truth", "blind", "stale", "rejected", "down", "sends", "cut"):
+        assert word in html
