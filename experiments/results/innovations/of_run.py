@@ -1,0 +1,118 @@
+"""The innovations of one run: variables of run.nc, figures, a table, and the verdict on them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from concord.experiments.results.innovations.figures import (
+    ChannelFigures,
+    InnovationFigures,
+    NisFigures,
+    accepted,
+    innovation_figures,
+    nis_per_step,
+)
+from concord.experiments.results.innovations.sentence import (
+    ESTIMATES_CONFIDENCE,
+    innovation_verdict,
+)
+from concord.experiments.results.run_verdict import anees_interval
+from concord.experiments.results.trace import Trace
+from concord.filters.gaussian import Gaussian
+from concord.scenarios.innovations import (
+    HearsAll,
+    Innovations,
+    innovations_of_all,
+    innovations_of_nodes,
+)
+from concord.scenarios.setup import Setup
+
+
+class RunInnovations(NamedTuple):
+    """Innovations of S steps of one run, with a leading axis of 1 for the run: of the nodes' own
+    readings (1, S, N, r, m), and the filter that hears everything."""
+
+    own: Innovations
+    heard: HearsAll
+
+
+def run_innovations(setup: Setup, trace: Trace) -> RunInnovations | None:
+    """The innovations of a trace; None where estimates are sets, or sensors have no filter."""
+    runs, readings = [setup.scenario.run], trace.readings[None]
+    control = None if trace.control is None else trace.control[None]
+    belief = Gaussian(trace.mean[None], trace.cov[None])
+    own = innovations_of_nodes(setup, runs, belief, readings, control)
+    heard = innovations_of_all(setup, runs, readings, control)
+    return None if own is None or heard is None else RunInnovations(own, heard)
+
+
+def innovation_variables(found: RunInnovations) -> dict[str, Any]:
+    """The variables of run.nc."""
+    return {
+        **variables_of(Innovations(*(values[0] for values in found.own)), "", ("step",)),
+        **variables_of(
+            Innovations(*(values[0] for values in found.heard.innovations)),
+            "centralised_",
+            ("step",),
+        ),
+    }
+
+
+def variables_of(innovations: Innovations, prefix: str, before: tuple[str, ...]) -> dict[str, Any]:
+    """Innovations as variables of run.nc, with the axes `before` that of the nodes."""
+    axes = (*before, "node", "reading")
+    return {
+        f"{prefix}innovation": ((*axes, "entry"), innovations.value),
+        f"{prefix}innovation_cov": ((*axes, "entry", "other_entry"), innovations.cov),
+        f"{prefix}nis": (axes, innovations.nis),
+    }
+
+
+def judged(
+    setup: Setup, found: RunInnovations, first: int, nees: np.ndarray
+) -> tuple[InnovationFigures, str]:
+    """The figures from step `first` on, and the verdict.
+
+    `nees` (S - first,) is the mean of the nodes' normalised errors squared in each step, per state.
+    """
+    own, heard = (
+        accepted(setup, Innovations(*(values[:, first:] for values in one)))
+        for one in (found.own, found.heard.innovations)
+    )
+    figures, diagnosis = innovation_figures(setup, own, heard)
+    intervals = (
+        anees_interval(steps, ESTIMATES_CONFIDENCE) for steps in (nis_per_step(own)[0], nees)
+    )
+    return figures, innovation_verdict(setup.scenario, diagnosis, *intervals)
+
+
+def nis_columns(figures: NisFigures) -> tuple[str, str, str]:
+    """NIS, its interval, and the number of readings as cells of a table."""
+    interval = figures.interval
+    shown = "-" if interval is None else f"{interval[0]:.2g} to {interval[1]:.2g}"
+    return short(figures.nis), shown, str(figures.updates)
+
+
+def channel_table(figures: InnovationFigures) -> Table:
+    """One row per channel, as the filter that hears everything sees it."""
+    grid = Table(title="channels of the filter that hears everything", title_justify="left")
+    grid.add_column("channel")
+    for heading in ("readings", "NIS", "mean innovation", "95 %", "correlation"):
+        grid.add_column(heading, justify="right")
+    for one in figures.channels:
+        grid.add_row(
+            escape(f"node {one.node}: {one.name}"), str(one.updates), short(one.nis),
+            f"{short(one.mean)} {one.unit}".rstrip(), _interval(one), short(one.correlation),
+        )  # fmt: skip
+    return grid
+
+
+def _interval(one: ChannelFigures) -> str:
+    return "-" if one.mean_interval is None else "{:.2g} to {:.2g}".format(*one.mean_interval)
+
+
+def short(value: float | None) -> str:
+    """A figure, or a dash."""
+    return "-" if value is None or np.isnan(value) else f"{value:.3g}"

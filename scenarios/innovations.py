@@ -1,0 +1,262 @@
+"""Innovations: readings minus their predictions, of each node and of the filter that hears all.
+
+A node's innovations are those of its own readings. The prediction is the node's estimate after the
+step before, carried to this step, with the readings that the node took before in the same step.
+That holds for every rule: rules that take the readings of neighbours judge an own reading by what
+the node knew before the step.
+
+They are computed from the recorded estimates and readings, by the functions that the nodes call. So
+no message carries them, and every driver has the same. A node has none in the step in which it
+returns, since the belief with which it returns is not its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.filters.adaptive.sage_husa import NoiseEstimate
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
+from concord.nodes.rules.adaptive_noise import AdaptedSensor, declared_noise, learn
+from concord.nodes.rules.all_sensors import AllSensors
+from concord.nodes.rules.local_filter import (
+    LocalFilters,
+    Sensor,
+    finite_lanes,
+    update_with_reading,
+    where,
+)
+from concord.scenarios.baselines import driven_into, priors_of_runs
+from concord.scenarios.build import filter_of
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import rule_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import VehicleNetwork
+
+
+class Innovations(NamedTuple):
+    """Innovations of readings of at most m entries; NaN where nothing was taken.
+
+    Attributes:
+        value: (..., N, r, m), reading minus prediction.
+        cov: (..., N, r, m, m), its covariance.
+        nis: (..., N, r), normalised innovation squared. With a matched filter it is chi-square with
+            as many degrees of freedom as entries were taken.
+    """
+
+    value: np.ndarray
+    cov: np.ndarray
+    nis: np.ndarray
+
+    @property
+    def entries(self) -> np.ndarray:
+        """How many entries of a reading were taken, integers (..., N, r)."""
+        return np.isfinite(self.value).sum(axis=-1)
+
+
+class HearsAll(NamedTuple):
+    """The filter that hears everything: its beliefs (..., n), and the innovations of all nodes'
+    readings, taken one by one in the order of the nodes."""
+
+    belief: Gaussian
+    innovations: Innovations
+
+
+Learnt = dict[int, NoiseEstimate]
+"""Noise that nodes have learnt, by node; empty where nodes believe their data sheets."""
+
+
+@dataclass(frozen=True)
+class InnovationFilters:
+    """The filters of a network, step by step, that tell their innovations.
+
+    `sensors` are those of the nodes that have one; `size` is the most entries m of a reading.
+    `points` are the sigma points by which nodes learn the noise of their sensors; None where they
+    do not. A network that learns has one run.
+    """
+
+    filters: LocalFilters
+    sensors: tuple[tuple[int, Sensor], ...]
+    size: int
+    points: SigmaPointRule | None = None
+
+    def of_nodes(
+        self,
+        before: Gaussian,
+        readings: np.ndarray,
+        control: np.ndarray | None,
+        step: int,
+        learnt: Learnt,
+    ) -> tuple[Innovations, Learnt]:
+        """Innovations (R, N, r, m) of own readings (R, N, r, d) at a step.
+
+        `before` (R, N, n) are the nodes' estimates of the step before, or their priors at step 0;
+        control (R, p) drove the plant into the step.
+        """
+        belief = before if step == 0 else self.filters.predict(before, control, step)[0]
+        found = self._nothing(readings)
+        if self.points is None:
+            for group in self.filters.groups:
+                own = Gaussian(group.of(belief.mean), group.of(belief.cov))
+                _, taken = self._taken(own, group.of(readings), group.sensor, step)
+                _put(found, group.nodes, taken)
+            return found, learnt
+        for node, sensor in self.sensors:
+            own = Gaussian(belief.mean[:, node], belief.cov[:, node])
+            _, taken, learnt = self._learning(node, own, readings[:, node], sensor, step, learnt)
+            _put(found, node, taken)
+        return found, learnt
+
+    def of_all(
+        self,
+        before: Gaussian,
+        readings: np.ndarray,
+        control: np.ndarray | None,
+        step: int,
+        learnt: Learnt,
+    ) -> tuple[HearsAll, Learnt]:
+        """The filter that hears everything, from its beliefs (R, n) of the step before."""
+        belief, found = before, self._nothing(readings)
+        if step > 0:
+            lanes = Gaussian(before.mean[:, None], before.cov[:, None])
+            moved, _ = self.filters.predict(lanes, control, step)
+            belief = Gaussian(moved.mean[:, 0], moved.cov[:, 0])
+        for node, sensor in self.sensors:
+            own = readings[:, node]
+            if self.points is None:
+                belief, taken = self._taken(belief, own, sensor, step)
+            else:
+                belief, taken, learnt = self._learning(node, belief, own, sensor, step, learnt)
+            _put(found, node, taken)
+        return HearsAll(belief, found), learnt
+
+    def _taken(
+        self, belief: Gaussian, readings: np.ndarray, sensor: Sensor, step: int
+    ) -> tuple[Gaussian, Innovations]:
+        """Beliefs (..., n) after readings (..., r, d), one by one, and the innovations."""
+        found = self._nothing(readings)
+        for place in range(readings.shape[-2]):
+            delivered = readings[..., place, :]
+            if np.isnan(delivered).all():
+                continue
+            interpreted = sensor.interpret(delivered)
+            result = update_with_reading(
+                belief, interpreted, step, sensor, self.filters.filter, sensor.gate
+            )
+            taken = np.isfinite(interpreted[0]).any(axis=-1)
+            size = result.innovation.shape[-1]
+            found.value[..., place, :size] = result.innovation
+            found.cov[..., place, :size, :size] = result.innovation_cov
+            found.nis[..., place] = np.where(taken, result.normalised_innovation_squared, np.nan)
+            belief = where(finite_lanes(result.belief), result.belief, belief)
+        return belief, found
+
+    def _learning(
+        self,
+        node: int,
+        belief: Gaussian,
+        readings: np.ndarray,
+        sensor: Sensor,
+        step: int,
+        learnt: Learnt,
+    ) -> tuple[Gaussian, Innovations, Learnt]:
+        """`_taken` of a node that learns its noise as `AdaptiveNoise` does: (1, n), (1, r, d)."""
+        assert self.points is not None, "the caller has looked"
+        taken = [one for one in readings[0] if not np.isnan(one).all()]
+        if not taken:
+            return belief, self._nothing(readings), learnt
+        noise = learnt.get(node) or declared_noise(sensor, taken[0])
+        belief, found = self._taken(belief, readings, AdaptedSensor(sensor, noise), step)
+        own = Gaussian(belief.mean[0], belief.cov[0])
+        for reading in taken:
+            noise = learn(noise, own, reading, sensor, self.points, step)
+        return belief, found, {**learnt, node: noise}
+
+    def _nothing(self, readings: np.ndarray) -> Innovations:
+        shape, m = readings.shape[:-1], self.size
+        return Innovations(
+            np.full((*shape, m), np.nan), np.full((*shape, m, m), np.nan), np.full(shape, np.nan)
+        )
+
+
+def _put(found: Innovations, nodes: slice | np.ndarray | int, taken: Innovations) -> None:
+    """Write innovations of some nodes (R, K, ...), or of one (R, ...), into those of all."""
+    for all_values, values in zip(found, taken, strict=True):
+        all_values[:, nodes] = values
+
+
+def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFilters | None:
+    """The filters of a setup whose nodes are delivered readings (r, d); None where estimates are
+    sets, and where sensors have no filter."""
+    scenario = setup.scenario
+    definition = definition_of(scenario)
+    if definition.wiring is not None or rule_of(scenario).baseline_filter is not None:
+        return None
+    own_filter = filter_of(setup)
+    filters = LocalFilters(
+        definition.model(scenario), definition.sensor_groups(scenario), own_filter
+    )
+    each = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
+    sensors = tuple((node, sensor) for node, sensor in each if sensor is not None)
+    learns = isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive
+    points = scaled_unscented(len(setup.prior_mean)) if learns else None
+    size = AllSensors(filters.groups, scenario.nodes, delivered).size
+    return InnovationFilters(filters, sensors, size, points)
+
+
+def innovations_of_nodes(
+    setup: Setup,
+    runs: Sequence[int],
+    belief: Gaussian,
+    readings: np.ndarray,
+    control: np.ndarray | None,
+) -> Innovations | None:
+    """Innovations (R, S, N, r, m) of the runs of these numbers; None as `innovation_filters`.
+
+    `belief` (R, S, N, n) are the nodes' estimates, readings (R, S, N, r, d), control (R, S, p).
+    """
+    filters = innovation_filters(setup, readings.shape[-2:])
+    if filters is None:
+        return None
+    prior = priors_of_runs(setup, runs)
+    nodes = setup.scenario.nodes
+    before = Gaussian(*(np.repeat(values[:, None], nodes, axis=1) for values in prior))
+    found, learnt = [], {}
+    for step in range(readings.shape[1]):
+        if step > 0:
+            before = Gaussian(belief.mean[:, step - 1], belief.cov[:, step - 1])
+        now, learnt = filters.of_nodes(
+            before, readings[:, step], driven_into(control, step), step, learnt
+        )
+        found.append(now)
+    return _stacked(found)
+
+
+def innovations_of_all(
+    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+) -> HearsAll | None:
+    """The filter that hears everything in the runs of these numbers: (R, S, n), (R, S, N, r, m)."""
+    filters = innovation_filters(setup, readings.shape[-2:])
+    if filters is None:
+        return None
+    belief, learnt = priors_of_runs(setup, runs), {}
+    beliefs, found = [], []
+    for step in range(readings.shape[1]):
+        now, learnt = filters.of_all(
+            belief, readings[:, step], driven_into(control, step), step, learnt
+        )
+        belief = now.belief
+        beliefs.append(belief)
+        found.append(now.innovations)
+    history = Gaussian(
+        np.stack([one.mean for one in beliefs], axis=1),
+        np.stack([one.cov for one in beliefs], axis=1),
+    )
+    return HearsAll(history, _stacked(found))
+
+
+def _stacked(steps: Sequence[Innovations]) -> Innovations:
+    """Innovations (R, S, ...) of those of each step (R, ...)."""
+    return Innovations(*(np.stack(values, axis=1) for values in zip(*steps, strict=True)))
