@@ -206,6 +206,37 @@ def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFi
     return InnovationFilters(filters, sensors, size, points)
 
 
+class InnovationsByStep:
+    """Innovations of the nodes in the runs of these numbers, as their steps come to be known."""
+
+    def __init__(self, setup: Setup, runs: Sequence[int]) -> None:
+        nodes, prior = setup.scenario.nodes, priors_of_runs(setup, runs)
+        self._setup = setup
+        self._before = Gaussian(*(np.repeat(values[:, None], nodes, axis=1) for values in prior))
+        self._filters: InnovationFilters | None = None
+        self._learnt: Learnt = {}
+        self._step = 0
+
+    def add(
+        self, after: Gaussian, readings: np.ndarray, control: np.ndarray | None
+    ) -> Innovations | None:
+        """The innovations (R, N, r, m) of the next step; None as `innovation_filters`.
+
+        `after` (R, N, n) are the nodes' estimates after its last round; readings (R, N, r, d);
+        control (R, p) drove the plant into it, None or NaN where nothing did.
+        """
+        if self._step == 0:
+            self._filters = innovation_filters(self._setup, readings.shape[-2:])
+        if self._filters is None:
+            return None
+        driven = None if control is None or np.isnan(control).all() else control
+        found, self._learnt = self._filters.of_nodes(
+            self._before, readings, driven, self._step, self._learnt
+        )
+        self._before, self._step = after, self._step + 1
+        return found
+
+
 def innovations_of_nodes(
     setup: Setup,
     runs: Sequence[int],
@@ -217,19 +248,12 @@ def innovations_of_nodes(
 
     `belief` (R, S, N, n) are the nodes' estimates, readings (R, S, N, r, d), control (R, S, p).
     """
-    filters = innovation_filters(setup, readings.shape[-2:])
-    if filters is None:
-        return None
-    prior = priors_of_runs(setup, runs)
-    nodes = setup.scenario.nodes
-    before = Gaussian(*(np.repeat(values[:, None], nodes, axis=1) for values in prior))
-    found, learnt = [], {}
+    steps, found = InnovationsByStep(setup, runs), []
     for step in range(readings.shape[1]):
-        if step > 0:
-            before = Gaussian(belief.mean[:, step - 1], belief.cov[:, step - 1])
-        now, learnt = filters.of_nodes(
-            before, readings[:, step], driven_into(control, step), step, learnt
-        )
+        after = Gaussian(belief.mean[:, step], belief.cov[:, step])
+        now = steps.add(after, readings[:, step], driven_into(control, step))
+        if now is None:
+            return None
         found.append(now)
     return _stacked(found)
 
@@ -241,6 +265,8 @@ def innovations_of_all(
     filters = innovation_filters(setup, readings.shape[-2:])
     if filters is None:
         return None
+    if filters.points is not None and len(runs) > 1:
+        return _run_by_run(setup, runs, readings, control)
     belief, learnt = priors_of_runs(setup, runs), {}
     beliefs, found = [], []
     for step in range(readings.shape[1]):
@@ -255,6 +281,23 @@ def innovations_of_all(
         np.stack([one.cov for one in beliefs], axis=1),
     )
     return HearsAll(history, _stacked(found))
+
+
+def _run_by_run(
+    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+) -> HearsAll:
+    """The filters of runs in which nodes learn, one after the other."""
+    parts = []
+    for place, run in enumerate(runs):
+        driven = None if control is None else control[place : place + 1]
+        found = innovations_of_all(setup, [run], readings[place : place + 1], driven)
+        assert found is not None, "the caller has looked"
+        parts.append(found)
+    beliefs, innovations = zip(*parts, strict=True)
+    return HearsAll(
+        Gaussian(*(np.concatenate(values) for values in zip(*beliefs, strict=True))),
+        Innovations(*(np.concatenate(values) for values in zip(*innovations, strict=True))),
+    )
 
 
 def _stacked(steps: Sequence[Innovations]) -> Innovations:

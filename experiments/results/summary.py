@@ -18,7 +18,7 @@ from concord.experiments.results.containment import Containment, containment
 from concord.experiments.results.innovations.figures import InnovationFigures, NisFigures
 from concord.experiments.results.innovations.of_run import (
     RunInnovations,
-    judged,
+    judged_run,
     nis_columns,
     run_innovations,
 )
@@ -133,7 +133,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         consistency = np.full_like(consistency, np.nan)
     per_step = _consistency(network, trace.truth, score, first, (1,))
     of_steps = anees_interval(per_step)
-    innovations, sentence = judged(setup, found, first, per_step) if found else (None, None)
+    innovations, sentence = judged_run(setup, found, first, per_step)
     return Figures(
         scenario=setup.scenario.name,
         unit=score.unit,

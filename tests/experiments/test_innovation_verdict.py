@@ -5,13 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 
 from concord.experiments.__main__ import main
 from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.innovations.channel_test import ChannelTest
 from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
 from concord.experiments.results.innovations.of_run import run_innovations
 from concord.experiments.results.innovations.sentence import innovation_verdict
+from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.summary import Figures, lines, summarise
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
@@ -154,3 +157,33 @@ def test_sets_have_no_innovations():
     trace = read_trace(setup, in_memory(setup))
     assert run_innovations(setup, trace) is None
     assert summarise(setup, trace).verdict is None
+
+
+def test_the_batched_driver_has_the_innovations_of_messages():
+    setup = small("target-tracking", nodes=5, steps=25)
+    trace = read_trace(setup, in_memory(setup))
+    expected = run_innovations(setup, trace)
+    found = simulate(setup, [0], keep=["readings", "innovations"]).innovations
+    assert expected is not None and found is not None
+    for own, other in zip(expected.own, found, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-10)
+    assert simulate(setup, [0]).innovations is None  # kept where they are asked for
+    assert "innovation" not in departures(setup, trace)
+    shifted = trace._replace(mean=trace.mean + 1e-4)
+    assert {"mean", "innovation"} <= set(departures(setup, shifted))
+
+
+@pytest.mark.parametrize("options", ["oscillator --nodes 4", "vehicle-network"])
+def test_many_runs_have_innovations_and_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str
+):
+    """A vehicle's nodes learn their noise, so its runs go one by one."""
+    runs = f"--steps 60 --driver batched --runs 2 --json --out {tmp_path}/run"
+    main(f"run --scenario {options} {runs}".split())
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] and told["innovations"]["channels"]
+    with xarray.open_dataset(tmp_path / "run" / "run.nc", engine="h5netcdf") as data:
+        assert data["innovation"].dims == ("run", "step", "node", "reading", "entry")
+        assert data["nis"].dims == ("run", "step", "node", "reading")
+        taken = np.isfinite(data["readings"].to_numpy()).any(axis=-1)
+        np.testing.assert_array_equal(np.isfinite(data["nis"].to_numpy()), taken)

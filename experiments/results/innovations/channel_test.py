@@ -12,8 +12,9 @@ import numpy as np
 
 from concord.experiments.monte_carlo.intervals import Interval, mean_t
 
-LEAST_UPDATES = 20
-"""A channel with fewer updates is not tested."""
+LEAST_UPDATES, LEAST_SERIES = 8, 20
+"""A channel with fewer updates is not tested; with fewer than the second, not for whiteness. Student's
+t and chi-square are exact for few samples, and the law of Ljung and Box is one of many."""
 MOST_LAGS = 10
 _BATCHES = 10
 
@@ -105,6 +106,8 @@ def _whiteness(series: list[np.ndarray]) -> tuple[float, float]:
 
     squares = sum(float((row**2).sum()) for row in series)
     statistic, freedoms, products = 0.0, 0, 0.0
+    if sum(map(len, series)) < LEAST_SERIES:
+        return np.nan, np.nan
     for row in series:
         n, energy = len(row), float((row**2).sum())
         lags = min(MOST_LAGS, n // 5)

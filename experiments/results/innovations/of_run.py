@@ -3,9 +3,11 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.results.innovations.figures import (
     ChannelFigures,
     InnovationFigures,
@@ -21,6 +23,7 @@ from concord.experiments.results.innovations.sentence import (
 from concord.experiments.results.run_verdict import anees_interval
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import mean_of_known
 from concord.scenarios.innovations import (
     HearsAll,
     Innovations,
@@ -71,21 +74,43 @@ def variables_of(innovations: Innovations, prefix: str, before: tuple[str, ...])
 
 
 def judged(
-    setup: Setup, found: RunInnovations, first: int, nees: np.ndarray
+    setup: Setup, own: Innovations, heard: Innovations, counted: np.ndarray, nees: np.ndarray
 ) -> tuple[InnovationFigures, str]:
-    """The figures from step `first` on, and the verdict.
+    """The figures of innovations (R, S, N, r, m) in the steps that count (R, S), and the verdict.
 
-    `nees` (S - first,) is the mean of the nodes' normalised errors squared in each step, per state.
+    `nees` (R, S) is the mean of the nodes' normalised errors squared in each step, per state; NaN
+    where it is not known.
     """
-    own, heard = (
-        accepted(setup, Innovations(*(values[:, first:] for values in one)))
-        for one in (found.own, found.heard.innovations)
-    )
+    own, heard = (_where(counted, accepted(setup, one)) for one in (own, heard))
     figures, diagnosis = innovation_figures(setup, own, heard)
-    intervals = (
-        anees_interval(steps, ESTIMATES_CONFIDENCE) for steps in (nis_per_step(own)[0], nees)
+    nis = _interval_of(nis_per_step(own))
+    return figures, innovation_verdict(setup.scenario, diagnosis, nis, _interval_of(nees))
+
+
+def judged_run(
+    setup: Setup, found: RunInnovations | None, first: int, nees: np.ndarray
+) -> tuple[InnovationFigures | None, str | None]:
+    """`judged` of one run from step `first` on, with the NEES (S - first,) of each step."""
+    if found is None:
+        return None, None
+    counted = np.arange(first + len(nees))[None] >= first
+    nees = np.concatenate([np.full(first, np.nan), nees])[None]
+    return judged(setup, found.own, found.heard.innovations, counted, nees)
+
+
+def _where(counted: np.ndarray, innovations: Innovations) -> Innovations:
+    kept = (
+        np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
+        for values in innovations
     )
-    return figures, innovation_verdict(setup.scenario, diagnosis, *intervals)
+    return Innovations(*kept)
+
+
+def _interval_of(per_step: np.ndarray) -> Interval:
+    """The interval of a mean over the runs and steps (R, S), over batches of steps for one run."""
+    if len(per_step) == 1:
+        return anees_interval(per_step[0], ESTIMATES_CONFIDENCE)
+    return positive_mean_t(mean_of_known(per_step, (1,)), ESTIMATES_CONFIDENCE)
 
 
 def nis_columns(figures: NisFigures) -> tuple[str, str, str]:
@@ -97,19 +122,21 @@ def nis_columns(figures: NisFigures) -> tuple[str, str, str]:
 
 def channel_table(figures: InnovationFigures) -> Table:
     """One row per channel, as the filter that hears everything sees it."""
-    grid = Table(title="channels of the filter that hears everything", title_justify="left")
-    grid.add_column("channel")
-    for heading in ("readings", "NIS", "mean innovation", "95 %", "correlation"):
+    title = "innovations of the filter that hears everything"
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    grid.add_column("node: channel", no_wrap=True)
+    for heading in ("readings", "NIS", "mean", "95 %", "correlation"):
         grid.add_column(heading, justify="right")
     for one in figures.channels:
         grid.add_row(
-            escape(f"node {one.node}: {one.name}"), str(one.updates), short(one.nis),
-            f"{short(one.mean)} {one.unit}".rstrip(), _interval(one), short(one.correlation),
+            f"{one.node}: {one.name}{escape(f' [{one.unit}]') if one.unit else ''}",
+            str(one.updates), short(one.nis), short(one.mean), _mean_interval(one),
+            short(one.correlation),
         )  # fmt: skip
     return grid
 
 
-def _interval(one: ChannelFigures) -> str:
+def _mean_interval(one: ChannelFigures) -> str:
     return "-" if one.mean_interval is None else "{:.2g} to {:.2g}".format(*one.mean_interval)
 
 
