@@ -13,8 +13,8 @@ import numpy as np
 from concord.experiments.monte_carlo.intervals import Interval, mean_t
 
 LEAST_UPDATES, LEAST_SERIES = 8, 20
-"""A channel with fewer updates is not tested; with fewer than the second, not for whiteness. Student's
-t and chi-square are exact for few samples, and the law of Ljung and Box is one of many."""
+"""A channel with fewer updates is not tested, and with fewer than the second not for whiteness.
+Student's t and chi-square are exact for few samples; the law of Ljung and Box is one of many."""
 MOST_LAGS = 10
 _BATCHES = 10
 
