@@ -1,18 +1,20 @@
 """Test the sentence that ends a run: its words follow from figures, end to end and one by one."""
 
 import json
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
+from rich.console import Console
 
 from concord.experiments.__main__ import main
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.innovations.channel_test import ChannelTest
 from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
-from concord.experiments.results.innovations.of_run import run_innovations
+from concord.experiments.results.innovations.of_run import channel_table, run_innovations
 from concord.experiments.results.innovations.sentence import innovation_verdict
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.summary import Figures, lines, summarise
@@ -89,6 +91,15 @@ def test_other_channels_are_counted():
 )
 def test_estimates_are_judged_where_sensors_and_models_fit(nis, anees, words: str):
     assert words in innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees)
+
+
+def test_an_offset_beside_another_cause_is_named_too():
+    noisy = Channel(0, 0, 0, "speed", "m/s")
+    diagnosis = Diagnosis(Cause.NOISE_TOO_SMALL, noisy, OFF, 1, (YAW, OFF))
+    sentence = innovation_verdict(scenario("oscillator"), diagnosis, FITTING, FITTING)
+    assert "NIS of node 0's speed" in sentence
+    assert sentence.endswith("besides, node 2's yaw rate reads 0.02 rad/s (95 %: 0.018 to 0.022) "
+                             "off its prediction")  # fmt: skip
 
 
 def test_too_few_readings_are_no_verdict():
@@ -187,3 +198,29 @@ def test_many_runs_have_innovations_and_a_verdict(
         assert data["nis"].dims == ("run", "step", "node", "reading")
         taken = np.isfinite(data["readings"].to_numpy()).any(axis=-1)
         np.testing.assert_array_equal(np.isfinite(data["nis"].to_numpy()), taken)
+
+
+@pytest.mark.zenoh
+def test_processes_have_the_innovations_of_one_process(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    told, arrays = [], []
+    for driver in ("in-process", "processes"):
+        options = f"--driver {driver} --json --out {tmp_path}/{driver}"
+        main(f"run --scenario oscillator --nodes 3 --graph path --steps 40 {options}".split())
+        told.append(json.loads(capsys.readouterr().out))
+        with xarray.open_dataset(tmp_path / driver / "run.nc", engine="h5netcdf") as data:
+            arrays.append(data.load())
+    assert told[0]["verdict"] == told[1]["verdict"]
+    assert told[0]["innovations"] == told[1]["innovations"]
+    for name in ("innovation", "innovation_cov", "nis", "centralised_nis"):
+        assert arrays[0][name].to_numpy().tobytes() == arrays[1][name].to_numpy().tobytes()
+
+
+def test_the_table_of_channels_fits_eighty_columns():
+    console = Console(width=80, record=True, file=StringIO())
+    found = figures(steps=40).innovations
+    assert found is not None
+    console.print(channel_table(found))
+    text = console.export_text()
+    assert "0: position [m]" in text and "…" not in text

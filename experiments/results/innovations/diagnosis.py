@@ -52,12 +52,16 @@ class Channel(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """The cause, the channel that shows it most, and how many others show a deviation too."""
+    """The cause, the channel that shows it most, and how many others show a deviation too.
+
+    `shifted` is the channel with the largest offset, where the cause is another.
+    """
 
     cause: Cause
     channel: Channel | None = None
     test: ChannelTest | None = None
     others: int = 0
+    shifted: tuple[Channel, ChannelTest] | None = None
 
 
 class _Tested(NamedTuple):
@@ -154,7 +158,12 @@ def _explains(model: list[_Tested], deviating: list[_Tested]) -> bool:
 
 def _of_all(some: list[_Tested], deviating: list[_Tested], alone: bool) -> Diagnosis:
     """The cause that channels of several nodes share; or of the only channel."""
-    worst = max(some, key=lambda one: abs(one.effect))
+    # The sign of a correlation tells the process noise from that of sensors.
+    correlated = [one for one in some if one.points_to_model]
+    if correlated:
+        worst = max(correlated, key=lambda one: abs(one.test.correlation))
+    else:
+        worst = max(some, key=lambda one: abs(one.effect))
     test = worst.test
     if alone and not worst.spread and not worst.coloured:
         return _found(Cause.OFFSET, worst, deviating)
@@ -195,4 +204,8 @@ def _deviation(one: _Tested) -> float:
 
 def _found(cause: Cause, worst: _Tested, deviating: list[_Tested]) -> Diagnosis:
     others = len(deviating) - worst.deviates
-    return Diagnosis(cause, worst.channel, worst.test, others)
+    shifted = [(one.channel, one.test) for one in deviating if one.shifted]
+    besides = None
+    if shifted and cause not in (Cause.OFFSET, Cause.MODEL):
+        besides = max(shifted, key=lambda pair: abs(pair[1].shift))
+    return Diagnosis(cause, worst.channel, worst.test, others, besides)

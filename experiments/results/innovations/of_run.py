@@ -124,20 +124,26 @@ def channel_table(figures: InnovationFigures) -> Table:
     """One row per channel, as the filter that hears everything sees it."""
     title = "innovations of the filter that hears everything"
     grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    grid.add_column("node: channel", no_wrap=True)
-    for heading in ("readings", "NIS", "mean", "95 %", "correlation"):
-        grid.add_column(heading, justify="right")
+    grid.add_column("channel", no_wrap=True)
+    for heading in ("taken", "NIS", "mean, 95 %", "lag 1"):
+        grid.add_column(heading, justify="right", no_wrap=True)
     for one in figures.channels:
         grid.add_row(
             f"{one.node}: {one.name}{escape(f' [{one.unit}]') if one.unit else ''}",
-            str(one.updates), short(one.nis), short(one.mean), _mean_interval(one),
-            short(one.correlation),
+            str(one.updates), short(one.nis), _mean(one),
+            "-" if one.correlation is None else f"{one.correlation:.2f}",
         )  # fmt: skip
     return grid
 
 
-def _mean_interval(one: ChannelFigures) -> str:
-    return "-" if one.mean_interval is None else "{:.2g} to {:.2g}".format(*one.mean_interval)
+def _mean(one: ChannelFigures) -> str:
+    if one.mean_interval is None:
+        return _two(one.mean)
+    return f"{_two(one.mean)} ± {(one.mean_interval[1] - one.mean_interval[0]) / 2:.2g}"
+
+
+def _two(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
 
 
 def short(value: float | None) -> str:

@@ -81,6 +81,9 @@ def innovation_verdict(
     if diagnosis.cause in _OF_ONE and diagnosis.others:
         plural = "channels deviate" if diagnosis.others > 1 else "channel deviates"
         said += f"; {diagnosis.others} more {plural}, less so"
+    if diagnosis.shifted is not None and diagnosis.shifted[0] != diagnosis.channel:
+        channel, off = diagnosis.shifted
+        said += f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
     return f"{_lead(diagnosis.cause, test)}: {said}"
 
 
