@@ -48,6 +48,8 @@ def needed_bytes(scenario: Scenario, runs: int = 1, messages: bool = False) -> i
     noise = plant.draw(partial(generator, scenario), 1)
     n, readings = len(plant.state_names), noise.measurement.size / scenario.nodes
     numbers = 2 * n**2 + 6 * n + 2 * readings + scenario.rounds + 8
+    # Innovations of nodes and of the filter that hears everything, with covariances and NIS.
+    numbers += 2 * (readings**2 + readings + 1)
     # Means and deviations of smoothed states, and their errors.
     numbers += 3 * n * smoothing_lags(scenario)
     per_node = numbers * _FLOAT_BYTES
