@@ -19,23 +19,24 @@ class Planted(NamedTuple):
     offset: tuple[float, ...] = (0.0,) * 4
 
 
-def innovations(planted: Planted, seed: int, steps: int = 220) -> tuple[np.ndarray, np.ndarray]:
-    """Innovations and their variances (steps, 4) of a filter that takes the readings one by one."""
-    rng = np.random.default_rng(seed)
+def innovations(planted: Planted, runs: int, steps: int = 220) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations (runs, steps, 4) of a filter that takes the readings one by one, and their
+    variances (steps, 4), which are those of all runs."""
+    rng = np.random.default_rng(1)
     root = np.linalg.cholesky(PROCESS_NOISE * planted.process)
     noise_std = NOISE_STD * np.sqrt(planted.noise)
-    state, mean, cov = rng.standard_normal(2), np.zeros(2), np.eye(2)
-    found, variances = np.empty((2, steps, len(ROWS)))
+    state, mean, cov = rng.standard_normal((runs, 2)), np.zeros((runs, 2)), np.eye(2)
+    found, variances = np.empty((runs, steps, len(ROWS))), np.empty((steps, len(ROWS)))
     for step in range(steps):
         if step:
-            state = TRANSITION @ state + root @ rng.standard_normal(2)
-            mean, cov = TRANSITION @ mean, TRANSITION @ cov @ TRANSITION.T + PROCESS_NOISE
+            state = state @ TRANSITION.T + rng.standard_normal((runs, 2)) @ root.T
+            mean, cov = mean @ TRANSITION.T, TRANSITION @ cov @ TRANSITION.T + PROCESS_NOISE
         for place, row in enumerate(ROWS):
-            reading = row @ state + planted.offset[place]
-            reading += noise_std[place] * rng.standard_normal()
+            reading = state @ row + planted.offset[place]
+            reading += noise_std[place] * rng.standard_normal(runs)
             variance = row @ cov @ row + NOISE_STD**2
             gain = cov @ row / variance
-            found[step, place], variances[step, place] = reading - row @ mean, variance
-            mean = mean + gain * found[step, place]
+            found[:, step, place], variances[step, place] = reading - mean @ row, variance
+            mean = mean + found[:, step, place, None] * gain
             cov = cov - np.outer(gain, gain) * variance
     return found, variances

@@ -23,22 +23,22 @@ from concord.experiments.results.innovations.diagnosis import (
 from tests.experiments.simulated_filter import NAMES, Planted, innovations
 
 
-def diagnosed(planted: Planted, seed: int, steps: int = 220) -> Diagnosis:
-    found, variances = (values[20:] for values in innovations(planted, seed, steps))
-    return diagnose(
-        [
-            (
-                Channel(node, 0, 0, name, "m"),
-                channel_test(found[None, :, node], variances[None, :, node]),
-            )
-            for node, name in enumerate(NAMES)
-        ]
-    )
+def diagnosed(planted: Planted, runs: int, steps: int = 220) -> list[Diagnosis]:
+    found, variances = innovations(planted, runs, steps)
+    return [_diagnosed(one[20:], variances[20:]) for one in found]
+
+
+def _diagnosed(found: np.ndarray, variances: np.ndarray) -> Diagnosis:
+    channels = []
+    for node, name in enumerate(NAMES):
+        test = channel_test(found[None, :, node], variances[None, :, node])
+        channels.append((Channel(node, 0, 0, name, "m"), test))
+    return diagnose(channels)
 
 
 def test_a_consistent_run_is_accused_as_rarely_as_is_claimed():
     """Bonferroni's bound is an upper one, and 1 % of 400 runs are 4."""
-    accused = sum(diagnosed(Planted(), seed).cause is not Cause.NONE for seed in range(400))
+    accused = sum(one.cause is not Cause.NONE for one in diagnosed(Planted(), 400))
     assert stats.binomtest(accused, 400, FALSE_ALARMS, alternative="greater").pvalue > 1e-3
 
 
@@ -58,7 +58,7 @@ def test_a_consistent_run_is_accused_as_rarely_as_is_claimed():
 def test_a_planted_mistake_is_named_in_nine_runs_of_ten(
     planted: Planted, cause: Cause, node: int | None
 ):
-    found = [diagnosed(planted, seed) for seed in range(40)]
+    found = diagnosed(planted, 40)
     named = [
         one
         for one in found
@@ -69,13 +69,14 @@ def test_a_planted_mistake_is_named_in_nine_runs_of_ten(
 
 
 def test_process_noise_that_is_too_large_is_named_where_readings_are_many():
-    causes = [diagnosed(Planted(process=0.01), seed, steps=3000).cause for seed in range(10)]
+    causes = [one.cause for one in diagnosed(Planted(process=0.01), 10, steps=8000)]
     assert causes.count(Cause.PROCESS_NOISE_TOO_LARGE) >= 9, Counter(causes)
 
 
 def test_few_readings_are_not_judged():
-    assert diagnosed(Planted(offset=(9.0,) * 4), 1, 20 + LEAST_UPDATES - 1).cause is Cause.UNKNOWN
-    assert diagnosed(Planted(offset=(0, 0, 0, 9.0)), 1, 20 + LEAST_UPDATES).cause is Cause.OFFSET
+    (few,) = diagnosed(Planted(offset=(9.0,) * 4), 1, 20 + LEAST_UPDATES - 1)
+    (enough,) = diagnosed(Planted(offset=(0, 0, 0, 9.0)), 1, 20 + LEAST_UPDATES)
+    assert few.cause is Cause.UNKNOWN and enough.cause is Cause.OFFSET
     assert diagnose([]).cause is Cause.UNKNOWN
 
 
