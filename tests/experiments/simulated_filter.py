@@ -12,9 +12,13 @@ NOISE_STD = 0.5
 
 
 class Planted(NamedTuple):
-    """Difference of the plant from the filter's model: factors of variances, and offsets."""
+    """Difference of the plant from the filter's model: factors of variances, and offsets.
+
+    `process` is the plant's factor of the process noise, `believed_process` that of the filter.
+    """
 
     process: float = 1.0
+    believed_process: float = 1.0
     noise: tuple[float, ...] = (1.0,) * 4
     offset: tuple[float, ...] = (0.0,) * 4
 
@@ -25,12 +29,13 @@ def innovations(planted: Planted, runs: int, steps: int = 220) -> tuple[np.ndarr
     rng = np.random.default_rng(1)
     root = np.linalg.cholesky(PROCESS_NOISE * planted.process)
     noise_std = NOISE_STD * np.sqrt(planted.noise)
+    believed = PROCESS_NOISE * planted.believed_process
     state, mean, cov = rng.standard_normal((runs, 2)), np.zeros((runs, 2)), np.eye(2)
     found, variances = np.empty((runs, steps, len(ROWS))), np.empty((steps, len(ROWS)))
     for step in range(steps):
         if step:
             state = state @ TRANSITION.T + rng.standard_normal((runs, 2)) @ root.T
-            mean, cov = mean @ TRANSITION.T, TRANSITION @ cov @ TRANSITION.T + PROCESS_NOISE
+            mean, cov = mean @ TRANSITION.T, TRANSITION @ cov @ TRANSITION.T + believed
         for place, row in enumerate(ROWS):
             reading = state @ row + planted.offset[place]
             reading += noise_std[place] * rng.standard_normal(runs)
