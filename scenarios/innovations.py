@@ -16,16 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import NoiseEstimate
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
-from concord.nodes.rules.adaptive_noise import AdaptedSensor, declared_noise, learn
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.local_filter import (
     LocalFilters,
+    Memory,
     Sensor,
     finite_lanes,
-    update_with_reading,
+    update_and_learn,
     where,
 )
 from concord.scenarios.baselines import driven_into, priors_of_runs
@@ -33,7 +31,6 @@ from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rules import rule_of
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import VehicleNetwork
 
 
 class Innovations(NamedTuple):
@@ -64,8 +61,8 @@ class HearsAll(NamedTuple):
     innovations: Innovations
 
 
-Learnt = dict[int, NoiseEstimate]
-"""Noise that nodes have learnt, by node; empty where nodes believe their data sheets."""
+Learnt = tuple[Memory | None, ...]
+"""Memories of a filter that learns the noise of sensors, one for each; empty before the start."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +70,11 @@ class InnovationFilters:
     """The filters of a network, step by step, that tell their innovations.
 
     `sensors` are those of the nodes that have one; `size` is the most entries m of a reading.
-    `points` are the sigma points by which nodes learn the noise of their sensors; None where they
-    do not. A network that learns has one run.
     """
 
     filters: LocalFilters
     sensors: tuple[tuple[int, Sensor], ...]
     size: int
-    points: SigmaPointRule | None = None
 
     def of_nodes(
         self,
@@ -96,18 +90,14 @@ class InnovationFilters:
         control (R, p) drove the plant into the step.
         """
         belief = before if step == 0 else self.filters.predict(before, control, step)[0]
-        found = self._nothing(readings)
-        if self.points is None:
-            for group in self.filters.groups:
-                own = Gaussian(group.of(belief.mean), group.of(belief.cov))
-                _, taken = self._taken(own, group.of(readings), group.sensor, step)
-                _put(found, group.nodes, taken)
-            return found, learnt
-        for node, sensor in self.sensors:
-            own = Gaussian(belief.mean[:, node], belief.cov[:, node])
-            _, taken, learnt = self._learning(node, own, readings[:, node], sensor, step, learnt)
-            _put(found, node, taken)
-        return found, learnt
+        found, memories = self._nothing(readings), []
+        groups = self.filters.groups
+        for group, memory in zip(groups, learnt or (None,) * len(groups), strict=True):
+            own = Gaussian(group.of(belief.mean), group.of(belief.cov))
+            _, taken, memory = self._taken(own, group.of(readings), group.sensor, step, memory)
+            _put(found, group.nodes, taken)
+            memories.append(memory)
+        return found, tuple(memories)
 
     def of_all(
         self,
@@ -118,32 +108,36 @@ class InnovationFilters:
         learnt: Learnt,
     ) -> tuple[HearsAll, Learnt]:
         """The filter that hears everything, from its beliefs (R, n) of the step before."""
-        belief, found = before, self._nothing(readings)
+        belief, found, memories = before, self._nothing(readings), []
         if step > 0:
             lanes = Gaussian(before.mean[:, None], before.cov[:, None])
             moved, _ = self.filters.predict(lanes, control, step)
             belief = Gaussian(moved.mean[:, 0], moved.cov[:, 0])
-        for node, sensor in self.sensors:
-            own = readings[:, node]
-            if self.points is None:
-                belief, taken = self._taken(belief, own, sensor, step)
-            else:
-                belief, taken, learnt = self._learning(node, belief, own, sensor, step, learnt)
+        known = learnt or (None,) * len(self.sensors)
+        for (node, sensor), memory in zip(self.sensors, known, strict=True):
+            belief, taken, memory = self._taken(belief, readings[:, node], sensor, step, memory)
             _put(found, node, taken)
-        return HearsAll(belief, found), learnt
+            memories.append(memory)
+        return HearsAll(belief, found), tuple(memories)
 
     def _taken(
-        self, belief: Gaussian, readings: np.ndarray, sensor: Sensor, step: int
-    ) -> tuple[Gaussian, Innovations]:
-        """Beliefs (..., n) after readings (..., r, d), one by one, and the innovations."""
+        self,
+        belief: Gaussian,
+        readings: np.ndarray,
+        sensor: Sensor,
+        step: int,
+        memory: Memory | None,
+    ) -> tuple[Gaussian, Innovations, Memory | None]:
+        """Beliefs (..., n) after readings (..., r, d), one by one, the innovations, and the
+        memory."""
         found = self._nothing(readings)
         for place in range(readings.shape[-2]):
             delivered = readings[..., place, :]
             if np.isnan(delivered).all():
                 continue
             interpreted = sensor.interpret(delivered)
-            result = update_with_reading(
-                belief, interpreted, step, sensor, self.filters.filter, sensor.gate
+            result, memory = update_and_learn(
+                belief, memory, interpreted, step, sensor, self.filters.filter
             )
             taken = np.isfinite(interpreted[0]).any(axis=-1)
             size = result.innovation.shape[-1]
@@ -151,28 +145,7 @@ class InnovationFilters:
             found.cov[..., place, :size, :size] = result.innovation_cov
             found.nis[..., place] = np.where(taken, result.normalised_innovation_squared, np.nan)
             belief = where(finite_lanes(result.belief), result.belief, belief)
-        return belief, found
-
-    def _learning(
-        self,
-        node: int,
-        belief: Gaussian,
-        readings: np.ndarray,
-        sensor: Sensor,
-        step: int,
-        learnt: Learnt,
-    ) -> tuple[Gaussian, Innovations, Learnt]:
-        """`_taken` of a node that learns its noise as `AdaptiveNoise` does: (1, n), (1, r, d)."""
-        assert self.points is not None, "the caller has looked"
-        taken = [one for one in readings[0] if not np.isnan(one).all()]
-        if not taken:
-            return belief, self._nothing(readings), learnt
-        noise = learnt.get(node) or declared_noise(sensor, taken[0])
-        belief, found = self._taken(belief, readings, AdaptedSensor(sensor, noise), step)
-        own = Gaussian(belief.mean[0], belief.cov[0])
-        for reading in taken:
-            noise = learn(noise, own, reading, sensor, self.points, step)
-        return belief, found, {**learnt, node: noise}
+        return belief, found, memory
 
     def _nothing(self, readings: np.ndarray) -> Innovations:
         shape, m = readings.shape[:-1], self.size
@@ -200,10 +173,8 @@ def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFi
     )
     each = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
     sensors = tuple((node, sensor) for node, sensor in each if sensor is not None)
-    learns = isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive
-    points = scaled_unscented(len(setup.prior_mean)) if learns else None
     size = AllSensors(filters.groups, scenario.nodes, delivered).size
-    return InnovationFilters(filters, sensors, size, points)
+    return InnovationFilters(filters, sensors, size)
 
 
 class InnovationsByStep:
@@ -214,7 +185,7 @@ class InnovationsByStep:
         self._setup = setup
         self._before = Gaussian(*(np.repeat(values[:, None], nodes, axis=1) for values in prior))
         self._filters: InnovationFilters | None = None
-        self._learnt: Learnt = {}
+        self._learnt: Learnt = ()
         self._step = 0
 
     def add(
@@ -265,9 +236,7 @@ def innovations_of_all(
     filters = innovation_filters(setup, readings.shape[-2:])
     if filters is None:
         return None
-    if filters.points is not None and len(runs) > 1:
-        return _run_by_run(setup, runs, readings, control)
-    belief, learnt = priors_of_runs(setup, runs), {}
+    belief, learnt = priors_of_runs(setup, runs), ()
     beliefs, found = [], []
     for step in range(readings.shape[1]):
         now, learnt = filters.of_all(
@@ -281,23 +250,6 @@ def innovations_of_all(
         np.stack([one.cov for one in beliefs], axis=1),
     )
     return HearsAll(history, _stacked(found))
-
-
-def _run_by_run(
-    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
-) -> HearsAll:
-    """The filters of runs in which nodes learn, one after the other."""
-    parts = []
-    for place, run in enumerate(runs):
-        driven = None if control is None else control[place : place + 1]
-        found = innovations_of_all(setup, [run], readings[place : place + 1], driven)
-        assert found is not None, "the caller has looked"
-        parts.append(found)
-    beliefs, innovations = zip(*parts, strict=True)
-    return HearsAll(
-        Gaussian(*(np.concatenate(values) for values in zip(*beliefs, strict=True))),
-        Innovations(*(np.concatenate(values) for values in zip(*innovations, strict=True))),
-    )
 
 
 def _stacked(steps: Sequence[Innovations]) -> Innovations:

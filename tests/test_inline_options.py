@@ -77,10 +77,10 @@ def test_options_inside_sentences_exist(page: Path):
 @pytest.mark.parametrize(
     ("code", "unknown"),
     [
-        ("--no-adaptive", set()),
-        ("--no-adaptation", {"--no-adaptation"}),
-        ("concord run --no-adaptive", set()),
-        ("concord plot --no-adaptive", {"--no-adaptive"}),
+        ("--no-linear", set()),
+        ("--no-adaptive", {"--no-adaptive"}),
+        ("concord run --filter aukf", set()),
+        ("concord plot --filter aukf", {"--filter"}),
         ("concord identity --data DIR", {"identity"}),
         ("concord flexray wcrt SLOTS.toml --cluster audi", set()),
         ("pip --anything", set()),

@@ -36,7 +36,7 @@ class InnovationsTold:
             np.repeat(mean[None], nodes, axis=0), np.repeat(cov[None], nodes, axis=0)
         )
         self._filters: InnovationFilters | None = None
-        self._learnt: Learnt = {}
+        self._learnt: Learnt = ()
 
     def add(self, number: int, told: StepContent, after: Gaussian, alive: np.ndarray) -> StepNis:
         """The innovations of a step, after which the living nodes (N,) have beliefs (N, n)."""

@@ -34,14 +34,15 @@ def watched(monkeypatch: pytest.MonkeyPatch):
 
     def run(setup: Setup) -> tuple[Trace, list]:
         made: list = []
-        update: Callable = local_filter.update_with_reading
+        update: Callable = local_filter.update_and_learn
 
         def watch(*arguments, **named):
-            made.append(update(*arguments, **named))
-            return made[-1]
+            result, memory = update(*arguments, **named)
+            made.append(result)
+            return result, memory
 
         with monkeypatch.context() as patched:
-            patched.setattr(local_filter, "update_with_reading", watch)
+            patched.setattr(local_filter, "update_and_learn", watch)
             trace = read_trace(setup, in_memory(setup))
         return trace, made
 
@@ -57,7 +58,8 @@ def watched(monkeypatch: pytest.MonkeyPatch):
         ("target-tracking", {"steps": 20, "nodes": 6, "filter": "ckf"}),
         ("dc-motor-speed", {"steps": 20}),
         ("vehicle-network", {"steps": 120}),
-        ("vehicle-network", {"steps": 60, "adaptive": False}),
+        ("vehicle-network", {"steps": 60, "filter": "ukf"}),
+        ("vehicle-network", {"steps": 60, "filter": "aukf"}),
     ],
 )
 def test_innovations_are_those_that_the_nodes_computed(watched, name: str, options: dict):

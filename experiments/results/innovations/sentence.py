@@ -11,6 +11,7 @@ from concord.experiments.results.innovations.diagnosis import (
     Diagnosis,
 )
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.plants import VehicleNetwork
 
 ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
@@ -137,9 +138,8 @@ def _cure(scenario: Scenario) -> str:
 
 
 def _learn(scenario: Scenario) -> str:
-    plant = scenario.plant
-    learns = isinstance(plant, VehicleNetwork) and not plant.adaptive
-    return ", or let nodes learn it with --adaptive" if learns else ""
+    plain = isinstance(scenario.filter, UnscentedFilter)
+    return ", or let nodes learn it with --filter aukf" if plain else ""
 
 
 def _short(value: float) -> str:
