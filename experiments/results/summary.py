@@ -312,11 +312,12 @@ def _cells(
 
 
 def empty_table(title: str, headings: Sequence[str]) -> Table:
-    """A table whose first column, the node's name, is never cut; others break at spaces."""
-    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    """A table that cuts no name: headings break at spaces, and the node's name does not."""
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     grid.add_column("node", justify="right", no_wrap=True, min_width=len("centralised"))
     for heading in headings:
-        grid.add_column(heading, justify="right")
+        longest = max(map(len, heading.split()), default=0)
+        grid.add_column(heading, justify="right", min_width=longest)
     return grid
 
 

@@ -128,9 +128,12 @@ def test_the_table_has_a_row_for_each_node_and_frames_the_network():
 
 def test_no_name_is_cut_at_eighty_columns():
     console = Console(width=80, record=True, file=StringIO())
-    console.print(table(FIGURES, "a title"))
+    long = {"rmse": 0.001299, "rmse_local_only": 0.001884, "sent": 540000, "heard": 180000}
+    nodes = [msgspec.structs.replace(node, **long) for node in FIGURES.nodes]
+    for figures in (FIGURES, msgspec.structs.replace(FIGURES, unit="rad", nodes=nodes)):
+        console.print(table(figures, "a title"))
     text = console.export_text()
-    assert "centralised" in text and "…" not in text
+    assert "centralised" in text and "rejected" in text and "…" not in text
 
 
 def test_the_verdict_opens_the_figures():
