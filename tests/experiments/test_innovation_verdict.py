@@ -87,6 +87,11 @@ def test_other_channels_are_counted():
         (Interval(1.5, 1.2, 1.8), UNKNOWN, "but rule ci claims too much (NIS 1.5 where 1 is right"),
         (FITTING, Interval(1.05, 1.01, 1.09), "consistent"),
         (FITTING, Interval(2.0, 0.8, 5.0), "consistent"),
+        (
+            FITTING,
+            Interval(0.1, np.nan, np.nan),
+            "(NIS 1 where 1 is right); too few scored steps to judge ANEES 0.1",
+        ),
     ],
 )
 def test_estimates_are_judged_where_sensors_and_models_fit(nis, anees, words: str):

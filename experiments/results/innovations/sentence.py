@@ -111,12 +111,15 @@ def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval) -> str:
             return (
                 f"underconfident: {fits}, but rule {scenario.rule.name} claims too little ({shown})"
             )
-    known = [
-        f"{name} {_short(found.value)}"
-        for name, found in (("NIS", nis), ("ANEES", anees))
-        if not np.isnan(found.value)
-    ]
-    return f"consistent: {fits} ({', '.join(known)} where 1 is right)"
+    figures = (("NIS", nis), ("ANEES", anees))
+    judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
+    said = f"consistent: {fits}"
+    if judged:
+        said += f" ({', '.join(judged)} where 1 is right)"
+    for name, found in figures:
+        if np.isnan(found.low) and not np.isnan(found.value):
+            said += f"; too few scored steps to judge {name} {_short(found.value)}"
+    return said
 
 
 def _mean(test: ChannelTest, channel: Channel) -> str:
