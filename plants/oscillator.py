@@ -86,6 +86,13 @@ class ScalarSensor:
         """Return the sensor of one of the nodes, or of nodes (...) for states (..., 2)."""
         return replace(self, row=self.row[node], noise_std=self.noise_std[node])
 
+    @property
+    def channels(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of a node's number; empty where it is neither position nor velocity."""
+        names = {(1.0, 0.0): ("position", "m"), (0.0, 1.0): ("velocity", "m/s")}
+        known = names.get(tuple(self.row.tolist())) if self.row.ndim == 1 else None
+        return () if known is None else (known,)
+
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return the number (..., 1) of states (..., 2), without noise."""
         value = self.row[..., 0] * state[..., 0] + self.row[..., 1] * state[..., 1]

@@ -91,6 +91,7 @@ class OwnSensor:
         R: covariance of the noise, (m, m), its diagonal (m,), or one variance.
         angles: entries of the reading that are angles in rad; their differences are wrapped.
         gate: chi-square threshold beyond which the filter refuses a reading; None takes all.
+        channels: name and unit of each entry, for reports; may be left out.
 
     Raises:
         ValueError: an R that is no covariance, or angles that the reading does not have.
@@ -100,6 +101,7 @@ class OwnSensor:
     R: ArrayLike
     angles: tuple[int, ...] = ()
     gate: float | None = None
+    channels: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if any(not 0 <= entry < self.entries for entry in self.angles):

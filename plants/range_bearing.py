@@ -26,6 +26,8 @@ class RangeBearing:
     bearing_std_rad: float = math.radians(2)
     gate: float | None = None  # greatest normalised innovation squared that a filter accepts
 
+    channels = (("range", "m"), ("bearing", "rad"))
+
     def __post_init__(self) -> None:
         shape = np.shape(self.position_m)
         if not shape or shape[-1] != 2 or not np.isfinite(self.position_m).all():

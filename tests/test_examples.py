@@ -76,3 +76,5 @@ def test_the_verdict_that_the_readme_shows_is_that_of_the_demo(tmp_path: Path):
     page = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     shown = re.findall(r"network: \S+ x the error .*? --rule labelled \([^)]*\)", page)
     assert len(shown) == 1 and shown[0] in verdict
+    (last,) = re.findall(r"verdict: .*? where 1 is right\)", page)
+    assert verdict.endswith(last)

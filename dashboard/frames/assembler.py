@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
+from concord.dashboard.frames.innovations import InnovationsTold
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from concord.dashboard.frames.scores import fuse, score
 from concord.dashboard.frames.stage import Stage, restaged
-from concord.dashboard.frames.told import StepContent, read_step
+from concord.dashboard.frames.told import StepContent, delivered, read_step
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
@@ -37,6 +38,7 @@ class Assembler:
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
+        self._innovations = InnovationsTold(stage.setup)
         self._listen = None
         if filters_step_by_step(stage.setup):
             self._listen = baseline_step(stage.setup, list(range(nodes)))
@@ -114,6 +116,7 @@ class Assembler:
             self._last_sent[senders] = cycle.cycle
         self._take_estimates(number, told)
         central = self._hear_all(number, told)
+        nis = self._innovations.add(number, told, self._belief, self._alive)
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
         ages = self._ages.copy()
@@ -134,7 +137,7 @@ class Assembler:
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=judged(cycles, stage.heard, ages, alive, events),
-            scores=score(stage, truth, self._belief, alive, fused, central),
+            scores=score(stage, truth, self._belief, alive, fused, central)._replace(nis=nis),
             events=events,
         )
 
@@ -184,17 +187,10 @@ class Assembler:
         """The filter that hears everything, one step on; none where it cannot be followed."""
         if self._listen is None:
             return None
-        nodes = range(self._stage.nodes)
-        if not told.measured:
+        readings, driven = delivered(told, self._stage.nodes)
+        if readings is None:
             return None
-        example = from_wire(next(iter(told.measured.values())).readings)
-        nothing = np.full_like(example, np.nan)
-        delivered: np.ndarray = np.stack(
-            [from_wire(told.measured[i].readings) if i in told.measured else nothing for i in nodes]
-        )
-        control = next(iter(told.measured.values())).control
-        driven = None if control is None else np.array(control)
-        self._central = self._listen(self._central, number, delivered, driven)
+        self._central = self._listen(self._central, number, readings, driven)
         return self._central.belief
 
     def _lost(self, ages: NDArray[np.int64], alive: np.ndarray, last_cycle: int) -> np.ndarray:

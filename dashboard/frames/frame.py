@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus, Transmission
+from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.frames.stage import Stage
 from concord.filters.gaussian import Gaussian
 
@@ -53,7 +54,8 @@ class StepScores(NamedTuple):
 
     error, width (N,): of the scored states, and what the node believes of it (square root of the
     trace of its covariance). nees: mean over the nodes. central: error of a filter that hears
-    everything. spread: root mean square distance of the nodes' estimates from their mean.
+    everything. spread: root mean square distance of the nodes' estimates from their mean. nis: of
+    the own readings, which needs no truth.
     """
 
     error: np.ndarray
@@ -63,6 +65,7 @@ class StepScores(NamedTuple):
     nees: float
     central: float
     fused: float
+    nis: StepNis | None = None
 
 
 class StepFrame(NamedTuple):

@@ -3,9 +3,18 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from concord.bus.bus import FrameFormat, Rejected
 from concord.nodes.bounds import node_of
-from concord.nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode
+from concord.nodes.messages import (
+    Estimate,
+    MalformedMessage,
+    Measured,
+    Truth,
+    decode,
+    from_wire,
+)
 from concord.runtime.whole_steps import WholeStep
 
 
@@ -41,6 +50,22 @@ def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> StepContent:
             case Estimate():
                 told.estimates[message.node] = message
     return told
+
+
+def delivered(told: StepContent, nodes: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Readings (N, r, d), NaN for a node without a heartbeat, and the control (p,) into the step;
+    None for what the step does not tell."""
+    if not told.measured:
+        return None, None
+    example = next(iter(told.measured.values()))
+    nothing = np.full_like(from_wire(example.readings), np.nan)
+    readings: np.ndarray = np.stack(
+        [
+            from_wire(told.measured[i].readings) if i in told.measured else nothing
+            for i in range(nodes)
+        ]
+    )
+    return readings, None if example.control is None else np.array(example.control)
 
 
 def _read_share(told: StepContent, sender: int | None, data: bytes, frames: FrameFormat) -> None:

@@ -8,6 +8,7 @@ from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import state_table
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
+from concord.dashboard.panels.nis_chart import nis_chart
 
 _LOWER, _UPPER = "−3σ", "+3σ"
 
@@ -39,6 +40,7 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
                 Line("to", lambda t: t.quiet, lambda s: s.expected.nees_high, True),
             ),
         ),
+        nis_chart(),
         Chart(
             "Payload on the bus",
             "kB/s",

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
+import numpy as np
 import tyro
 from rich.console import Console
 
 from concord.experiments.results.alternative import labelled_beside
 from concord.experiments.results.folder import RECORDING, Description, read_description
+from concord.experiments.results.innovations.of_run import channel_table, run_innovations
 from concord.experiments.results.run_results import (
     NO_MORE,
     Captures,
@@ -106,8 +108,9 @@ def finish(
     smooth: bool = False,
 ) -> None:
     """Write run.nc and the captures, with `smooth` smoothed.nc, and print the figures."""
-    write_results(folder, description, trace, captures)
-    found = summarise(description.setup, trace)
+    innovations = run_innovations(description.setup, trace)
+    write_results(folder, description, trace, captures, innovations)
+    found = summarise(description.setup, trace, innovations)
     figures = msgspec.structs.replace(
         found,
         timing=_timing(folder, description, trace),
@@ -148,8 +151,13 @@ def _show(figures: Figures, description: Description, shown: FiguresForm) -> Non
     console.print(table(figures, title))
     if figures.smoothing is not None:
         console.print(smoothing_line(figures.smoothing, figures.unit), highlight=False)
+    innovations = figures.innovations
+    if innovations is not None and (shown.verbose or np.isnan(figures.rmse)):
+        console.print(channel_table(innovations))
     for line in (*lines(figures), *(details(figures) if shown.verbose else ())):
         console.print(line, highlight=False)
     if figures.containment is None:
         for line in LEGEND:
             console.print(line, style="dim", highlight=False)
+    if figures.verdict is not None:
+        console.print(f"verdict: {figures.verdict}", style="bold", highlight=False)

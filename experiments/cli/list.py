@@ -14,6 +14,7 @@ from concord.experiments.scenario_options import offered_options
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
 from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from concord.scenarios.catalogue import definitions
+from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.buses import WrittenSchedule
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.option import name_of
@@ -48,7 +49,10 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         if definition.wiring
     }
     if options.json:
-        scenarios = {name: definition.defaults for name, definition in definitions().items()}
+        scenarios = {
+            name: definition.defaults.with_(steps=_steps(definition) or definition.defaults.steps)
+            for name, definition in definitions().items()
+        }
         faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
         everything = {
             "scenarios": scenarios, "rules": RULE_SUMMARIES, "filters": FILTER_SUMMARIES, **names,
@@ -61,7 +65,11 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     for name, definition in definitions().items():
         d = definition.defaults
         scenarios.add_row(
-            name, type(d.plant).summary(), str(d.nodes), d.network.graph, str(d.steps)
+            name,
+            type(d.plant).summary(),
+            str(d.nodes),
+            d.network.graph,
+            str(_steps(definition) or "as --data"),
         )
     console.print(scenarios)
     rules = Table("rule", "what it promises")
@@ -81,3 +89,13 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     for name, of_option in own.items():
         values = "; ".join(f"--{option} {', '.join(of)}" for option, of in of_option.items())
         console.print(f"{name} has its own: {values}", highlight=False, soft_wrap=True)
+
+
+def _steps(definition: ScenarioDefinition) -> int | None:
+    """Steps of a scenario when nothing is asked for; None where its data must be named first."""
+    if definition.all_steps is None:
+        return definition.defaults.steps
+    try:
+        return definition.all_steps(definition.defaults)
+    except ValueError:
+        return None

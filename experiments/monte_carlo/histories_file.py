@@ -8,9 +8,11 @@ import numpy as np
 from concord.experiments.monte_carlo.many_figures import RunCost
 from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.results.folder import past_variables
+from concord.experiments.results.innovations.of_run import variables_of
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.trace import Past
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.innovations import Innovations
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -63,6 +65,8 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables["ages"] = (("run", "step", "link"), histories.ages, units)
     if histories.cov is not None:
         variables["cov"] = ((*state, "other_state"), histories.cov)
+    if histories.innovations is not None:
+        variables |= variables_of(histories.innovations, "", ("run", "step"))
     if histories.suspect is not None:
         variables["suspect"] = (("run", "step", "node"), histories.suspect.astype(np.int8))
     if histories.past is not None:
@@ -107,12 +111,19 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
             for one in data.data_vars.values()
             if _COUNTER in one.attrs
         },
+        innovations=_read_innovations(data),
         past=_read_past(data),
         suspect=data["suspect"].to_numpy() > 0 if "suspect" in data else None,
         spreads=(),
         **arrays,
     )
     return histories, RunCost(**{name: float(one) for name, one in spent.items()})
+
+
+def _read_innovations(data: "xarray.Dataset") -> Innovations | None:
+    if "nis" not in data:
+        return None
+    return Innovations(*(data[name].to_numpy() for name in ("innovation", "innovation_cov", "nis")))
 
 
 def _read_past(data: "xarray.Dataset") -> Past | None:

@@ -11,11 +11,14 @@ from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t,
 from concord.experiments.monte_carlo.run_figures import scored_steps, traffic_of
 from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
+from concord.experiments.results.innovations.figures import InnovationFigures
+from concord.experiments.results.innovations.of_run import judged
 from concord.experiments.results.trace import Past
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.innovations import Innovations, innovations_of_all
 from concord.scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
@@ -74,6 +77,8 @@ class ManyFigures(msgspec.Struct, frozen=True):
     peak_memory_mb: float
     smoothed: list[ManySmoothed] | None = None
     suspect: float | None = None
+    innovations: InnovationFigures | None = None
+    verdict: str | None = None
 
 
 class RunCost(NamedTuple):
@@ -95,7 +100,8 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     of_node = _where(counted, histories.mean - known)[..., list(score.states)]
     of_alone = _where(counted, alone.mean - known)[..., list(score.states)]
     per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
-    of_central, anees_central = _centralised(histories, counted)
+    heard = _heard(histories)
+    of_central, anees_central = _centralised(histories, counted, heard.belief)
     central = rmse(of_central, (1,))
     states = len(score.nees_states)
     values = np.full_like(histories.nees, np.nan) if is_set_valued(scenario) else histories.nees
@@ -105,6 +111,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     spread = spread - mean_of_known(spread, (2,))[:, :, None]
     whole = rmse(of_node, (1, 2))
     carried = traffic_of(setup, histories)
+    innovations, sentence = _judged(histories, heard, counted, mean_of_known(consistency, (2,)))
     return ManyFigures(
         scenario=scenario.name,
         unit=score.unit,
@@ -142,24 +149,44 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
         peak_memory_mb=cost.peak_memory_mb,
         suspect=None if histories.suspect is None else float(histories.suspect.mean()),
-        smoothed=None if histories.past is None else _smoothed(histories, histories.past, counted),
+        smoothed=histories.past and _smoothed(histories, histories.past, counted, heard.belief),
+        innovations=innovations,
+        verdict=sentence,
     )
 
 
-def _smoothed(histories: Histories, past: Past, counted: np.ndarray) -> list[ManySmoothed]:
+def _judged(
+    histories: Histories, heard: "_Heard", counted: np.ndarray, nees: np.ndarray
+) -> tuple[InnovationFigures | None, str | None]:
+    """The figures of the innovations, and the verdict, where they were kept."""
+    if histories.innovations is None or heard.innovations is None:
+        return None, None
+    return judged(histories.setup, histories.innovations, heard.innovations, counted, nees)
+
+
+def _smoothed(
+    histories: Histories, past: Past, counted: np.ndarray, heard: Gaussian
+) -> list[ManySmoothed]:
     known = histories.truth, histories.control, counted
-    network, central = smoothed_errors(histories.setup, past, _heard(histories), *known)
+    network, central = smoothed_errors(histories.setup, past, heard, *known)
     return [
         ManySmoothed(lag, positive_mean_t(mine), ratio_t(mine**2, best**2))
         for lag, (mine, best) in enumerate(zip(network.T, central.T, strict=True))
     ]
 
 
-def _heard(histories: Histories) -> Gaussian:
-    """The filter that hears everything: mean (R, S, n), cov (R, S, n, n)."""
+class _Heard(NamedTuple):
+    """The filter that hears everything, mean (R, S, n), and its innovations where they count."""
+
+    belief: Gaussian
+    innovations: Innovations | None
+
+
+def _heard(histories: Histories) -> _Heard:
     assert histories.readings is not None, "keep the readings"
-    runs = histories.runs.tolist()
-    return centralised_of_runs(histories.setup, runs, histories.readings, histories.control)
+    known = histories.setup, histories.runs.tolist(), histories.readings, histories.control
+    found = None if histories.innovations is None else innovations_of_all(*known)
+    return _Heard(centralised_of_runs(*known), None) if found is None else _Heard(*found)
 
 
 _TRAFFIC = ("sent", "heard", "missed", "rejected")
@@ -171,12 +198,13 @@ def _frames(histories: Histories, name: str) -> np.ndarray:
     return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
 
 
-def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _centralised(
+    histories: Histories, counted: np.ndarray, belief: Gaussian
+) -> tuple[np.ndarray, np.ndarray]:
     """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
     setup = histories.setup
     score = definition_of(setup.scenario).score
     shape = histories.truth.shape
-    belief = _heard(histories)
     errors = _where(counted, belief.mean - histories.truth)
     if is_set_valued(setup.scenario):
         return errors[..., list(score.states)], np.full(shape[0], np.nan)

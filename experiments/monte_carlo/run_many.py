@@ -20,6 +20,7 @@ from concord.experiments.monte_carlo.many_figures import (
 from concord.experiments.monte_carlo.simulate import (
     AGES,
     COV,
+    INNOVATIONS,
     READINGS,
     Interrupted,
     simulate,
@@ -43,7 +44,7 @@ def run_many(
     if (lacking := without_array_form(setup.scenario)) is not None:
         sys.stderr.write(f"{lacking} has no array form: runs go one by one, message by message\n")
     started = time.monotonic()
-    keep = (READINGS, AGES, *((COV,) if covariances else ()))
+    keep = (READINGS, AGES, INNOVATIONS, *((COV,) if covariances else ()))
     stopped: KeyboardInterrupt | None = None
     try:
         with progress(setup.scenario.name, runs * setup.scenario.steps) as on_progress:
@@ -83,3 +84,5 @@ def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:
     console.print(table(figures, title))
     for line in lines(figures):
         console.print(line, highlight=False)
+    if figures.verdict is not None:
+        console.print(f"verdict: {figures.verdict}", style="bold", highlight=False)

@@ -7,7 +7,7 @@ Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Ru
 without an array form run message by message, one run after the other, and give the same value.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from concord.runtime.batched.driver import Instant, run
 from concord.runtime.batched.memory import keep_freed_memory
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
@@ -33,9 +34,10 @@ LANES = 16_384
 # And no more than take some tens of seconds: what is interrupted keeps those that are complete.
 LANE_STEPS = 12_000_000
 
-READINGS, AGES, COV = "readings", "ages", "cov"
-OPTIONAL = frozenset((READINGS, AGES, COV))
+READINGS, AGES, COV, INNOVATIONS = "readings", "ages", "cov", "innovations"
+OPTIONAL = frozenset((READINGS, AGES, COV, INNOVATIONS))
 _PAST_MEAN, _PAST_STD = "past mean", "past std"
+_INNOVATIONS = "innovation value", "innovation cov", "innovation nis"
 
 
 class Histories(NamedTuple):
@@ -60,6 +62,7 @@ class Histories(NamedTuple):
         ages: (R, S, E), cycles since what came over a link was sent, -1 never; links in order of
             receiver and then sender, as in `setup.neighbours`. If kept.
         cov: (R, S, N, n, n). If kept.
+        innovations: (R, S, N, r, m), of the nodes' own readings. If kept, and where nodes filter.
         past: smoothed states, (R, S, L, N, n), of rules that estimate them (`Past`).
         suspect: (R, S, N), which nodes say that their belief does not fit what they have heard;
             None for rules that do not check.
@@ -81,6 +84,7 @@ class Histories(NamedTuple):
     readings: np.ndarray | None
     ages: np.ndarray | None
     cov: np.ndarray | None
+    innovations: Innovations | None
     past: Past | None
     suspect: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
@@ -114,7 +118,7 @@ def simulate(
         setup: of any run; its own run number does not matter.
         runs: numbers of runs, at least one, each once.
         keep: which of `OPTIONAL` histories to keep beside means and traces: what the baselines need
-            (readings), what held shares were worth (ages), full covariances (cov).
+            (readings), what held shares were worth (ages), full covariances (cov), innovations.
         on_progress: told how many steps of how many runs are done, added up.
 
     Raises:
@@ -175,9 +179,12 @@ class _Collected:
         messages = without_array_form(setup.scenario) is not None
         part = (_replayed if messages else _driven)(setup, runs)
         self._prior_mean[place] = part.prior_mean
+        innovations = InnovationsByStep(setup, runs) if INNOVATIONS in self._keep else None
         for step, recorded in enumerate(part.steps):
             at = (len(self._runs), place, step)
             _write(setup, self._arrays, at, recorded, self._keep)
+            if innovations is not None:
+                self._write_innovations(at, innovations, recorded)
             self._done += len(runs)
             on_progress(self._done)
         for name, counts in part.counters.items():
@@ -185,17 +192,28 @@ class _Collected:
             self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
         self._spreads += part.spreads()
 
+    def _write_innovations(
+        self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
+    ) -> None:
+        found = innovations.add(recorded.belief, recorded.readings, recorded.control)
+        if found is not None:
+            _put(self._setup, self._arrays, at, dict(zip(_INNOVATIONS, found, strict=True)))
+
     def histories(self, count: int) -> Histories:
         """Of the first so many runs."""
         missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
+        del missing[INNOVATIONS]
         arrays = {name: values[:count] for name, values in self._arrays.items()}
         past = Past(arrays.pop(_PAST_MEAN), arrays.pop(_PAST_STD)) if _PAST_MEAN in arrays else None
+        there = _INNOVATIONS[0] in arrays
+        innovations = Innovations(*map(arrays.pop, _INNOVATIONS)) if there else None
         fields: dict[str, Any] = {**missing, **arrays}
         return Histories(
             setup=self._setup,
             runs=np.array(self._runs[:count]),
             counters={name: counts[:count] for name, counts in self._counters.items()},
             prior_mean=self._prior_mean[:count],
+            innovations=innovations,
             past=past,
             spreads=tuple(self._spreads[:count]),
             **fields,
@@ -311,7 +329,6 @@ def _write(
     keep: frozenset[str],
 ) -> None:
     """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
-    runs, place, step = at
     belief, truth = recorded.belief, recorded.truth
     states = list(definition_of(setup.scenario).score.nees_states)
     errors = (belief.mean - truth[:, None])[..., states]
@@ -331,6 +348,17 @@ def _write(
         _PAST_MEAN: None if recorded.past is None else recorded.past.mean,
         _PAST_STD: None if recorded.past is None else recorded.past.std,
     }
+    _put(setup, arrays, at, values)
+
+
+def _put(
+    setup: Setup,
+    arrays: dict[str, np.ndarray],
+    at: tuple[int, slice, int],
+    values: Mapping[str, np.ndarray | None],
+) -> None:
+    """Put values of one step of some runs in their place, but what is None."""
+    runs, place, step = at
     for name, value in values.items():
         if value is not None:
             shape = (runs, setup.scenario.steps, *value.shape[1:])

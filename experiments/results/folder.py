@@ -14,6 +14,11 @@ import numpy as np
 
 from concord._version import __version__
 from concord.experiments.results.bus_report import times_of
+from concord.experiments.results.innovations.of_run import (
+    RunInnovations,
+    innovation_variables,
+    run_innovations,
+)
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.record_spread import record_ages
 from concord.experiments.results.trace import Past, Trace
@@ -145,8 +150,16 @@ def read_description_file(path: Path) -> Description:
         raise ValueError(f"{path}: not the description of a run ({error})") from None
 
 
-def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
-    """Write run.nc: the trace with named dimensions and units, errors and NEES beside it."""
+def write_arrays(
+    folder: Path,
+    description: Description,
+    trace: Trace,
+    innovations: RunInnovations | None = None,
+) -> None:
+    """Write run.nc: the trace with named dimensions and units, errors, NEES and innovations.
+
+    `innovations` are computed where they are not given.
+    """
     # Loading xarray can take longer than a run, so it is loaded only to write a file.
     import xarray
 
@@ -183,6 +196,8 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
         variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
     if trace.past is not None:
         variables |= past_variables(trace.past, ("step",))
+    if (found := innovations or run_innovations(setup, trace)) is not None:
+        variables |= innovation_variables(found)
     variables |= _bus_variables(setup, trace)
     coordinates = {
         "step": np.arange(trace.steps),

@@ -9,6 +9,8 @@ import numpy as np
 
 from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
 from concord.experiments.results.trace import Trace
+from concord.filters.gaussian import Gaussian
+from concord.scenarios.innovations import innovations_of_nodes
 from concord.scenarios.setup import Setup
 
 TOLERANCE = 1e-10
@@ -42,6 +44,19 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         compared["suspect"] = (trace.suspect, histories.suspect[0], _exact)
     if trace.past is not None and histories.past is not None:
         compared["smoothed"] = (trace.past.mean, histories.past.mean[0], trace.past.std)
+    own = innovations_of_nodes(
+        setup,
+        [setup.scenario.run],
+        Gaussian(trace.mean[None], trace.cov[None]),
+        trace.readings[None],
+        None if trace.control is None else trace.control[None],
+    )
+    if own is not None and histories.innovations is not None:
+        std = np.sqrt(np.abs(np.diagonal(own.cov[0], axis1=-2, axis2=-1)))
+        scale = np.maximum(np.abs(own.value[0]), np.nan_to_num(std))
+        compared["innovation"] = (own.value[0], histories.innovations.value[0], scale)
+        scale = std[..., :, None] * std[..., None, :]
+        compared["innovation_cov"] = (own.cov[0], histories.innovations.cov[0], scale)
     found = {}
     for name, (expected, value, scale) in compared.items():
         departs = np.argwhere(_departs(expected, value, scale))

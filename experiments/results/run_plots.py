@@ -8,6 +8,7 @@ import numpy as np
 from concord.experiments.monte_carlo.run_figures import scored_steps
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.experiments.results.folder import ARRAYS, Description, read_description
+from concord.experiments.results.innovations.plots import innovation_figure
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.network_map import Mapped, network_maps
 from concord.experiments.results.palette import COLOURS, GREY
@@ -34,6 +35,10 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     figures = {"error-over-time": _errors(description, data)}
     if not is_set_valued(description.setup.scenario):
         figures["consistency"] = _consistency(description, data)
+    if "nis" in data:
+        score = definition_of(description.setup.scenario).score
+        first = min(score.first_step, data.sizes["step"] - 1)
+        figures["innovations"] = innovation_figure(data, first, _title(description, data))
     if "smoothed_mean" in data:
         figures["error-against-lag"] = _lags(description, data)
     figures["network-map"] = _map(description, data)

@@ -12,6 +12,7 @@ from concord.experiments.results.folder import (
     Description,
     write_arrays,
 )
+from concord.experiments.results.innovations.of_run import RunInnovations
 from concord.experiments.results.node_capture import node_capture
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.disk import writing
@@ -67,10 +68,17 @@ def completed(folder: Path, description: Description) -> Trace:
 
 
 def write_results(
-    folder: Path, description: Description, trace: Trace, captures: Captures = NO_MORE
+    folder: Path,
+    description: Description,
+    trace: Trace,
+    captures: Captures = NO_MORE,
+    innovations: RunInnovations | None = None,
 ) -> None:
-    """Write run.nc, and where the bus has time bus.pcap and a capture for each node of these."""
-    write_arrays(folder, description, trace)
+    """Write run.nc, and where the bus has time bus.pcap and a capture for each node of these.
+
+    `innovations` are computed where they are not given.
+    """
+    write_arrays(folder, description, trace, innovations)
     setup, recording = description.setup, folder / RECORDING
     frames = capture(setup, trace, read_recording(recording), captures.all_cycles)
     if frames is None:

@@ -5,18 +5,21 @@ import numpy as np
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 
 BATCHES = 10
+# Beyond this ratio the error of the filter that hears everything is rounding.
+_EXACT = 1e6
 LEGEND = (
     "RMSE         error of the node in the network",
     "alone        its error without neighbours",
     "ANEES        squared error over its covariance: 1 is right, more overconfident",
+    "NIS          the same of innovations, which are readings minus their predictions",
     "sent, heard  frames; missed: frames that were due and did not come",
     "rejected     frames that the node could not use",
     "centralised  one filter that hears every sensor",
 )
 
 
-def anees_interval(consistency: np.ndarray) -> Interval:
-    """The interval (95 %) of a mean over steps (S,) that depend on each other.
+def anees_interval(consistency: np.ndarray, confidence: float = 0.95) -> Interval:
+    """The interval of a mean over steps (S,) that depend on each other.
 
     It is that of the means of `BATCHES` batches of consecutive steps (batch means, Law 2015,
     section 9.5.3); NaN for fewer than two steps a batch.
@@ -24,7 +27,8 @@ def anees_interval(consistency: np.ndarray) -> Interval:
     known = consistency[~np.isnan(consistency)]
     if len(known) < 2 * BATCHES:
         return Interval(float(known.mean()) if len(known) else np.nan, np.nan, np.nan)
-    return positive_mean_t(np.array([batch.mean() for batch in np.array_split(known, BATCHES)]))
+    means = np.array([batch.mean() for batch in np.array_split(known, BATCHES)])
+    return positive_mean_t(means, confidence)
 
 
 def consistency_in_words(anees: Interval) -> str:
@@ -42,10 +46,19 @@ def consistency_in_words(anees: Interval) -> str:
     return f"neither over- nor underconfident {shown}"
 
 
+def worst_in_words(ratio: float) -> str:
+    """The worst node beside the filter that hears everything; empty without a truth."""
+    if np.isnan(ratio):
+        return ""
+    if ratio > _EXACT:
+        return "worst node beside exact knowledge; "
+    return f"worst node {ratio:.2f} x centralised; "
+
+
 def verdict(rmse: float, centralised: float, alone: float, anees: Interval) -> str:
     """The sentence that opens the figures of runs with Gaussian estimates."""
     if np.isnan(rmse) or np.isnan(centralised):
-        return "network: the truth is not known, so its error is not either"
+        return "network: the truth is not known; NIS tells how well the readings fit the estimates"
     gain = alone / rmse
     beside = f"{gain:.3g} x better than alone" if gain >= 1.05 else f"{1 / gain:.3g} x that alone"
     return (

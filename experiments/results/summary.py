@@ -15,8 +15,15 @@ from concord.experiments.results import bus_report, record_spread, timing_figure
 from concord.experiments.results.alternative import LabelledFigures, in_words
 from concord.experiments.results.bus_report import BusFigures
 from concord.experiments.results.containment import Containment, containment
+from concord.experiments.results.innovations.figures import InnovationFigures, NisFigures
+from concord.experiments.results.innovations.of_run import (
+    RunInnovations,
+    judged_run,
+    nis_columns,
+    run_innovations,
+)
 from concord.experiments.results.record_spread import SpreadFigures
-from concord.experiments.results.run_verdict import anees_interval, verdict
+from concord.experiments.results.run_verdict import anees_interval, verdict, worst_in_words
 from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
@@ -28,8 +35,6 @@ from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 
-# Beyond this ratio the error of the filter that hears everything is rounding.
-_EXACT = 1e6
 _TRAFFIC = ("sent", "heard", "missed")
 
 
@@ -64,7 +69,8 @@ class Figures(msgspec.Struct, frozen=True):
     `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
     nodes' counters other than traffic: frames lost, late, repeated, rejected and why. `suspect` is
     the number of steps in which each node said that its belief does not fit what it had heard.
-    `labelled` are the figures under that rule, where they are known.
+    `labelled` are the figures under that rule, where they are known. `innovations` and `verdict`
+    are None where estimates are sets, or sensors have no filter.
     """
 
     scenario: str
@@ -98,22 +104,26 @@ class Figures(msgspec.Struct, frozen=True):
     steps_per_second: float | None = None
     ready_s: float | None = None
     labelled: LabelledFigures | None = None
+    innovations: InnovationFigures | None = None
+    verdict: str | None = None
 
 
-def summarise(setup: Setup, trace: Trace) -> Figures:
-    """The figures of a trace with at least one complete step."""
+def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -> Figures:
+    """The figures of a trace with at least one complete step.
+
+    `found` are its innovations, which are computed where they are not given.
+    """
     score = definition_of(setup.scenario).score
     first = _first_scored(score, trace)
+    found = found or run_innovations(setup, trace)
     alone = local_only(setup, trace.readings, trace.control)
-    central = centralised(setup, trace.readings, trace.control)
+    central = _centralised(setup, trace, found)
     network = Gaussian(trace.mean, trace.cov)
     of_node = _errors(network.mean, trace.truth, score, first)
     of_alone = _errors(alone.mean, trace.truth, score, first)
     of_central = _errors(central.mean, trace.truth, score, first)
     per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
-    # The sensors of a measurement bus believe nothing, and do not count among those that estimate.
-    believers = ~np.isnan(network.mean).all(axis=(0, 2))
-    who = slice(None) if believers.all() else np.flatnonzero(believers)
+    who = _believers(network)
     central_rmse = float(rmse(of_central, (0,)))
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
@@ -121,7 +131,9 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
     set_valued = is_set_valued(setup.scenario)
     if set_valued:
         consistency = np.full_like(consistency, np.nan)
-    of_steps = anees_interval(_consistency(network, trace.truth, score, first, (1,)))
+    per_step = _consistency(network, trace.truth, score, first, (1,))
+    of_steps = anees_interval(per_step)
+    innovations, sentence = judged_run(setup, found, first, per_step)
     return Figures(
         scenario=setup.scenario.name,
         unit=score.unit,
@@ -137,8 +149,8 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
             set_valued, _consistency(central, trace.truth, score, first, (0,))
         ),
         near_s=score.near_s,
-        rmse_near=[float(x) for x in rmse(of_node[near], (0,))],
-        rmse_near_local_only=[float(x) for x in rmse(of_alone[near], (0,))],
+        rmse_near=rmse(of_node[near], (0,)).tolist(),
+        rmse_near_local_only=rmse(of_alone[near], (0,)).tolist(),
         rmse_near_centralised=float(rmse(of_central[near], (0,))),
         shares_sent=sum(c.get("sent", 0) for c in counters),
         shares_missed=sum(c.get("missed", 0) for c in counters),
@@ -153,23 +165,32 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
                 heard=c.get("heard", 0),
                 missed=c.get("missed", 0),
                 rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
-                containment=_contained(
-                    set_valued and bool(believers[i]), _of_node(network, i), trace.truth
-                ),
+                containment=_contained(set_valued, _of_nodes(network, i), trace.truth),
             )
             for i, c in enumerate(counters)
         ],
-        containment=_contained(
-            set_valued, Gaussian(network.mean[:, who], network.cov[:, who]), trace.truth
-        ),
+        containment=_contained(set_valued, _of_nodes(network, who), trace.truth),
         containment_centralised=_contained(set_valued, central, trace.truth),
         anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
-        spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
+        spread=trace.spread and record_spread.figures_of(trace.spread),
         suspect=None if trace.suspect is None else trace.suspect.sum(axis=0).tolist(),
-        smoothed=None
-        if trace.past is None
-        else _smoothed(setup, trace, trace.past, central, first),
+        smoothed=trace.past and _smoothed(setup, trace, trace.past, central, first),
+        innovations=innovations,
+        verdict=sentence,
     )
+
+
+def _believers(network: Gaussian) -> slice | np.ndarray:
+    """The nodes that estimate: the sensors of a measurement bus believe nothing."""
+    believers = ~np.isnan(network.mean).all(axis=(0, 2))
+    return slice(None) if believers.all() else np.flatnonzero(believers)
+
+
+def _centralised(setup: Setup, trace: Trace, found: RunInnovations | None) -> Gaussian:
+    """One filter that hears everything, which has innovations already where these are known."""
+    if found is None:
+        return centralised(setup, trace.readings, trace.control)
+    return Gaussian(found.heard.belief.mean[0], found.heard.belief.cov[0])
 
 
 def _smoothed(
@@ -198,11 +219,12 @@ def _unless(set_valued: bool, anees_: np.ndarray) -> float:
 
 
 def _contained(set_valued: bool, bounds: Gaussian, truth: np.ndarray) -> Containment | None:
-    return containment(bounds, truth) if set_valued else None
+    believed = set_valued and not np.isnan(bounds.mean).all()
+    return containment(bounds, truth) if believed else None
 
 
-def _of_node(network: Gaussian, node: int) -> Gaussian:
-    return Gaussian(network.mean[:, node], network.cov[:, node])
+def _of_nodes(network: Gaussian, which: int | slice | np.ndarray) -> Gaussian:
+    return Gaussian(network.mean[:, which], network.cov[:, which])
 
 
 def _first_scored(score: Score, trace: Trace) -> int:
@@ -238,41 +260,67 @@ def _consistency(
 
 def table(figures: Figures, title: str) -> Table:
     """The figures as a table: one row per node, then the network, then what frames it."""
-    # Rich would take [m] for a style.
-    unit = escape(f"[{figures.unit}]")
-    set_valued = figures.containment is not None
-    shown = ("out", "largest", "√tr P") if set_valued else (f"alone {unit}", "ANEES")
-    grid = empty_table(title, (f"RMSE {unit}", *shown, "sent", "heard", "missed", "rejected"))
+    grid = empty_table(title, (*_headings(figures), "sent", "heard", "missed", "rejected"))
+    innovations = figures.innovations
     for i, node in enumerate(figures.nodes):
         traffic = (node.sent, node.heard, node.missed, node.rejected)
-        grid.add_row(
-            str(i), _short(node.rmse),
-            *(
-                ("-",) * len(shown)
-                if set_valued and node.containment is None
-                else _consistent(node.rmse_local_only, node.anees, node.containment)
-            ),
-            *map(str, traffic),
-        )  # fmt: skip
+        own = None if innovations is None else innovations.nodes[i]
+        held = node.containment
+        cells = _cells(figures, (node.rmse, node.rmse_local_only, node.anees), held, own)
+        grid.add_row(str(i), *cells, *map(str, traffic))
     grid.add_section()
-    grid.add_row(
-        "all", _short(figures.rmse),
-        *_consistent(figures.rmse_local_only, figures.anees, figures.containment),
-        str(figures.shares_sent), "", str(figures.shares_missed), "",
-    )  # fmt: skip
-    grid.add_row(
-        "centralised", _short(figures.rmse_centralised),
-        *_consistent(None, figures.anees_centralised, figures.containment_centralised),
-    )  # fmt: skip
+    whole = figures.rmse, figures.rmse_local_only, figures.anees
+    own = None if innovations is None else innovations.network
+    cells = _cells(figures, whole, figures.containment, own)
+    grid.add_row("all", *cells, str(figures.shares_sent), "", str(figures.shares_missed), "")
+    central = figures.rmse_centralised, None, figures.anees_centralised
+    own = None if innovations is None else innovations.centralised
+    grid.add_row("centralised", *_cells(figures, central, figures.containment_centralised, own))
     return grid
 
 
+def _headings(figures: Figures) -> tuple[str, ...]:
+    """The columns between the node and its traffic."""
+    # Rich would take [m] for a style.
+    unit = escape(f"[{figures.unit}]")
+    if figures.containment is not None:
+        return f"RMSE {unit}", "out", "largest", "√tr P"
+    if _without_truth(figures):
+        return "NIS", "95 %", "readings"
+    return f"RMSE {unit}", f"alone {unit}", "ANEES", *(["NIS"] if figures.innovations else [])
+
+
+def _without_truth(figures: Figures) -> bool:
+    """Whether the innovations are all that is known."""
+    return figures.innovations is not None and np.isnan(figures.rmse)
+
+
+def _cells(
+    figures: Figures,
+    errors: tuple[float, float | None, float],
+    contained: Containment | None,
+    own: NisFigures | None,
+) -> tuple[str, ...]:
+    """The cells below `_headings`: errors are RMSE, RMSE alone (None for no cell) and ANEES."""
+    found, alone, anees_ = errors
+    if contained is None and figures.containment is not None:
+        return _short(found), "-", "-", "-"
+    if contained is not None:
+        sizes = map(_short, (contained.largest, contained.half_width))
+        return _short(found), str(contained.violations), *sizes
+    if own is not None and _without_truth(figures):
+        return nis_columns(own)
+    shown = _short(found), "" if alone is None else _short(alone), _short(anees_)
+    return shown if own is None else (*shown, nis_columns(own)[0])
+
+
 def empty_table(title: str, headings: Sequence[str]) -> Table:
-    """A table whose first column, the node's name, is never cut; others break at spaces."""
-    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    """A table that cuts no name: headings break at spaces, and the node's name does not."""
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     grid.add_column("node", justify="right", no_wrap=True, min_width=len("centralised"))
     for heading in headings:
-        grid.add_column(heading, justify="right")
+        longest = max(map(len, heading.split()), default=0)
+        grid.add_column(heading, justify="right", min_width=longest)
     return grid
 
 
@@ -291,25 +339,11 @@ def opening(figures: Figures) -> list[str]:
     return [f"sets: {held.violations} of {number} do not hold the truth"]
 
 
-def _consistent(
-    alone: float | None, anees_: float, contained: Containment | None
-) -> tuple[str, ...]:
-    """The columns between error and traffic: for sets whether they hold, and how large they are."""
-    if contained is None:
-        return ("" if alone is None else _short(alone), _short(anees_))
-    return (str(contained.violations), _short(contained.largest), _short(contained.half_width))
-
-
-def _times(ratio: float) -> str:
-    """An error beside that of the filter that hears everything, which may be exact."""
-    return "beside exact knowledge" if ratio > _EXACT else f"{ratio:.2f} x centralised"
-
-
 def lines(figures: Figures) -> list[str]:
     """Return the lines below the table: figures that have no column."""
     unit = figures.unit
     text = [
-        f"worst node {_times(figures.worst_node_to_centralised)}; "
+        f"{worst_in_words(figures.worst_node_to_centralised)}"
         f"disagreement {_short(figures.disagreement)} {unit}; "
         f"scored from step {figures.first_step} of {figures.steps}"
     ]

@@ -7,6 +7,10 @@ from concord.filters.fusion.hold import check_weights, inverse_volume
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, multiply
 
+# Squared distances below this, in variances of the own belief, are equal: rounding must not decide
+# which belief is dropped.
+_ALIKE = 1e-12
+
 
 def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> Gaussian:
     """Covariance intersection of what is left when the farthest are dropped and the surest capped.
@@ -14,7 +18,8 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
     With F = `liars`, of the beliefs that have a weight, the node's own first:
 
     1. the F neighbours whose means are farthest from the median of all (entry by entry), in
-       standard deviations of the node's own belief, are dropped;
+       standard deviations of the node's own belief, are dropped; of those within 1e-6 standard
+       deviations the first ones;
     2. the information is capped: no neighbour may be surer, in any direction, than the (F + 1)-th
        surest of all in its surest direction, both relative to the own covariance. The covariance of
        a surer neighbour is scaled up to this cap;
@@ -81,7 +86,8 @@ def _far_ones(mean: np.ndarray, whitener: np.ndarray, used: np.ndarray, liars: i
     distance = np.square(multiply(whitener, mean - median)).sum(axis=-1)
     candidates = used.copy()
     candidates[..., 0] = False
-    rank = np.argsort(np.argsort(np.where(candidates, -distance, np.inf), axis=-1), axis=-1)
+    nearness = np.where(candidates, -np.where(distance < _ALIKE, 0.0, distance), np.inf)
+    rank = np.argsort(np.argsort(nearness, axis=-1, kind="stable"), axis=-1)
     return candidates & (rank < liars)
 
 

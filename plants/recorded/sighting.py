@@ -20,6 +20,8 @@ class Sighting:
     bearing_std_rad: float = 0.02
     gate: float | None = 11.0  # greatest normalised innovation squared: misread barcodes fail it
 
+    channels = (("position x", "m"), ("position y", "m"))
+
     @property
     def delivered_std(self) -> np.ndarray:
         """Standard deviations (2,) of range at no distance, in m, and bearing, in rad."""

@@ -44,6 +44,19 @@ BELIEVED_STD = ((0.1, 0.1), (0.005, 1.0, 0.05), (0.0005,), (0.05, 0.003))
 acceleration, whose value covers the error of the single-track model."""
 
 
+CHANNEL_NAMES = (
+    (("left wheel speed", "m/s"), ("right wheel speed", "m/s")),
+    (
+        ("yaw rate", "rad/s"),
+        ("lateral acceleration", "m/s^2"),
+        ("longitudinal acceleration", "m/s^2"),
+    ),
+    (("steering angle", "rad"),),
+    (("speed over ground", "m/s"), ("course over ground", "rad")),
+)
+"""Name and unit of each node's channels."""
+
+
 @dataclass(frozen=True, eq=False)
 class DrivenCar:
     """Model of every node: the single-track model, driven by the inputs that the node has.
@@ -84,12 +97,14 @@ class CarSensor:
     """A node's sensor: `read` maps states (..., 6) to its channels (..., m).
 
     noise_std: (m,), what the node believes at the start. course: the channel that is an angle.
+    channels: name and unit of each.
     """
 
     read: Callable[[np.ndarray], np.ndarray]
     noise_std: tuple[float, ...]
     course: int | None = None
     gate: float | None = None
+    channels: tuple[tuple[str, str], ...] = ()
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Channels (..., m) of states (..., 6), without noise."""
@@ -143,7 +158,8 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
 
     free_wheels = rear_wheels if car.driven_axle == "front" else front_wheels
     read = (free_wheels, inertial, steering, satellites)[node]
-    return CarSensor(read, BELIEVED_STD[node], course=1 if read is satellites else None)
+    course = 1 if read is satellites else None
+    return CarSensor(read, BELIEVED_STD[node], course, channels=CHANNEL_NAMES[node])
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,8 @@ def test_a_run_has_its_pictures_and_its_page(tmp_path: Path, capsys: pytest.Capt
     main(["run", "--scenario", "oscillator", "--nodes", "4", "--steps", "8", "--out", str(folder)])
     main(["plot", str(folder)])
     names = {path.stem for path in (folder / "plots").iterdir()}
-    assert names == {"error-over-time", "consistency", "network-map", "share-ages"}
+    expected = {"error-over-time", "consistency", "innovations", "network-map", "share-ages"}
+    assert names == expected
     main(["report", str(folder)])
     assert "<table>" in (folder / "report.html").read_text(encoding="utf-8")
 
@@ -103,7 +104,7 @@ def test_many_runs_have_pictures_and_the_page_of_what_was_printed(
     printed = " ".join(capsys.readouterr().out.split())
     main(["plot", str(folder / "run.nc")])
     names = {path.stem for path in (folder / "plots").iterdir()}
-    of_beliefs = set() if "liu" in asked else {"consistency"}
+    of_beliefs = set() if "liu" in asked else {"consistency", "innovations"}
     assert names == {"error-over-time", "network-map", "share-ages"} | of_beliefs
     main(["report", str(folder), "-o", str(tmp_path / "page.md")])
     _, _, *said = (tmp_path / "page.md").read_text(encoding="utf-8").split("\n\n| ")[0].splitlines()

@@ -128,9 +128,12 @@ def test_the_table_has_a_row_for_each_node_and_frames_the_network():
 
 def test_no_name_is_cut_at_eighty_columns():
     console = Console(width=80, record=True, file=StringIO())
-    console.print(table(FIGURES, "a title"))
+    long = {"rmse": 0.001299, "rmse_local_only": 0.001884, "sent": 540000, "heard": 180000}
+    nodes = [msgspec.structs.replace(node, **long) for node in FIGURES.nodes]
+    for figures in (FIGURES, msgspec.structs.replace(FIGURES, unit="rad", nodes=nodes)):
+        console.print(table(figures, "a title"))
     text = console.export_text()
-    assert "centralised" in text and "…" not in text
+    assert "centralised" in text and "rejected" in text and "…" not in text
 
 
 def test_the_verdict_opens_the_figures():
@@ -174,7 +177,7 @@ def test_what_is_said_follows_from_what_is_recorded(run_json):
     out, _, folder = run_json(SMALL_RUN)
     setup = small(nodes=3, graph="path", steps=25, seed=5)
     trace = read_trace(setup, read_recording(folder / "run.mcap"))
-    expected = msgspec.to_builtins(summarise(setup, trace))
+    expected = json.loads(msgspec.json.encode(summarise(setup, trace)))
     said = json.loads(out)
     for name in ("steps_per_second", "ready_s"):
         del expected[name]
@@ -197,5 +200,8 @@ def test_listing_for_machines_and_people_names_the_same(capsys: pytest.CaptureFi
     everything = json.loads(capsys.readouterr().out)
     main(["list"])
     shown_to_people = capsys.readouterr().out
+    # A whole drive of 12 s at 5 ms; MRCLAM is recorded data that a user must name.
+    assert everything["scenarios"]["vehicle-network"]["steps"] == 2401
+    assert "2401" in shown_to_people and "as --data" in shown_to_people
     for name in (*everything["scenarios"], *everything["rules"], *everything["graphs"]):
         assert name in shown_to_people

@@ -121,3 +121,16 @@ def test_weights_that_are_none_are_refused():
     beliefs, weights = neighbourhood(1, 2, 0, 0.0, 1.0)
     with pytest.raises(ValueError, match="sum to 1"):
         trimmed_intersection(beliefs, 2 * weights, 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rounding_does_not_decide_which_belief_is_dropped(seed: int):
+    generator = np.random.default_rng(seed)
+    mean = np.array([[3.0, -1.0, 0.5]]).repeat(4, axis=0)
+    cov = np.stack([covariance(generator, 1.0) for _ in range(4)])
+    weights = np.full(4, 0.25)
+    alike = trimmed_intersection(Gaussian(mean, cov), weights, 1)
+    rounded = mean + generator.normal(size=mean.shape) * 1e-14
+    found = trimmed_intersection(Gaussian(rounded, cov), weights, 1)
+    np.testing.assert_allclose(found.mean, alike.mean, rtol=1e-10)
+    np.testing.assert_allclose(found.cov, alike.cov, rtol=1e-10)

@@ -1,0 +1,1 @@
+"""Innovations of a run: tests, the cause that they point to, figures, and the verdict."""

@@ -1,0 +1,149 @@
+"""The sentence that ends a run: whether estimates, models and readings fit each other."""
+
+import numpy as np
+
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
+from concord.experiments.results.innovations.diagnosis import (
+    FALSE_ALARMS,
+    Cause,
+    Channel,
+    Diagnosis,
+)
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.filters import UnscentedFilter
+from concord.scenarios.types.plants import VehicleNetwork
+
+ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
+"""Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but
+`FALSE_ALARMS` of the runs that are consistent."""
+ESTIMATES_MARGIN = 1.1
+"""Least ratio either way by which estimates are called over- or underconfident."""
+
+_ALL_ALIKE = {
+    Cause.ALL_NOISE_TOO_SMALL: (
+        "{figures}, and other sensors are alike; their noise is larger than the filter's R: raise R"
+    ),
+    Cause.ALL_NOISE_TOO_LARGE: (
+        "{figures}, and other sensors are alike; their noise is smaller than the filter's R: "
+        "lower R"
+    ),
+    Cause.PROCESS_NOISE_TOO_SMALL: (
+        "{figures}, and successive innovations correlate by {correlation:.2g}: the process noise Q "
+        "is too small, or the model lacks a part of the motion{or_coloured}; {cure}"
+    ),
+    Cause.PROCESS_NOISE_TOO_LARGE: (
+        "{figures}, and successive innovations correlate by {correlation:.2g}: the process noise Q "
+        "is too large; lower it"
+    ),
+    Cause.MODEL: (
+        "{figures}, their mean is {mean}, and they correlate by {correlation:.2g}: the model does "
+        "not move as the readings do; {cure}"
+    ),
+}
+_OF_ONE = {
+    Cause.OFFSET: "{figures}; it reads {mean} off its prediction: correct its offset",
+    Cause.NOISE_TOO_SMALL: (
+        "{figures}; its noise is larger than the filter's R{or_biased}: raise R{learn}"
+    ),
+    Cause.NOISE_TOO_LARGE: "{figures}; its noise is smaller than the filter's R: lower R{learn}",
+    Cause.COLOURED: (
+        "{figures}, and its innovations correlate by {correlation:.2g}: its errors are not white"
+    ),
+}
+
+
+def innovation_verdict(
+    scenario: Scenario, diagnosis: Diagnosis, nis: Interval, anees: Interval
+) -> str:
+    """The verdict, computed from the diagnosis and from the nodes' own figures.
+
+    `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
+    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known.
+    """
+    if diagnosis.cause is Cause.UNKNOWN:
+        return (
+            f"too few readings to judge; no channel has {LEAST_UPDATES} in the scored "
+            "steps, so use more --steps"
+        )
+    if diagnosis.cause is Cause.NONE:
+        return _of_estimates(scenario, nis, anees)
+    assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
+    test = diagnosis.test
+    said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
+        figures=f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right",
+        mean=_mean(test, diagnosis.channel),
+        correlation=test.correlation,
+        cure=_cure(scenario),
+        learn=_learn(scenario),
+        or_coloured="" if diagnosis.others else ", or this sensor's errors are not white",
+        or_biased=_or_biased(test, diagnosis.channel),
+    )
+    if diagnosis.cause in _OF_ONE and diagnosis.others:
+        plural = "channels deviate" if diagnosis.others > 1 else "channel deviates"
+        said += f"; {diagnosis.others} more {plural}, less so"
+    if diagnosis.shifted is not None and diagnosis.shifted[0] != diagnosis.channel:
+        channel, off = diagnosis.shifted
+        said += f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
+    return f"{_lead(diagnosis.cause, test)}: {said}"
+
+
+def label(channel: Channel) -> str:
+    """Return a channel with its node: "node 2's yaw rate"."""
+    return f"node {channel.node}'s {channel.name}"
+
+
+def _lead(cause: Cause, test: ChannelTest) -> str:
+    if test.nis.low > 1:
+        return "overconfident"
+    if test.nis.high < 1:
+        return "underconfident"
+    return "biased" if cause is Cause.OFFSET else "coloured"
+
+
+def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval) -> str:
+    fits = "models and sensors fit the readings"
+    for name, found in (("ANEES", anees), ("NIS", nis)):
+        shown = f"{name} {_short(found.value)} where 1 is right"
+        if found.low > 1 and found.value > ESTIMATES_MARGIN:
+            return f"overconfident: {fits}, but rule {scenario.rule.name} claims too much ({shown})"
+        if found.high < 1 and found.value < 1 / ESTIMATES_MARGIN:
+            return (
+                f"underconfident: {fits}, but rule {scenario.rule.name} claims too little ({shown})"
+            )
+    figures = (("NIS", nis), ("ANEES", anees))
+    judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
+    said = f"consistent: {fits}"
+    if judged:
+        said += f" ({', '.join(judged)} where 1 is right)"
+    for name, found in figures:
+        if np.isnan(found.low) and not np.isnan(found.value):
+            said += f"; too few scored steps to judge {name} {_short(found.value)}"
+    return said
+
+
+def _mean(test: ChannelTest, channel: Channel) -> str:
+    value, low, high = test.mean
+    return f"{value:.2g} {channel.unit} (95 %: {low:.2g} to {high:.2g})".replace("  ", " ")
+
+
+def _or_biased(test: ChannelTest, channel: Channel) -> str:
+    if test.mean.low <= 0 <= test.mean.high:
+        return ""
+    return f", or it is biased by {test.mean.value:.2g} {channel.unit}".rstrip()
+
+
+def _cure(scenario: Scenario) -> str:
+    plant = scenario.plant
+    if isinstance(plant, VehicleNetwork) and plant.data is not None:
+        return f"`concord identify --data {plant.data}` fits the car's model to the log"
+    return "raise Q, or model that part"
+
+
+def _learn(scenario: Scenario) -> str:
+    plain = isinstance(scenario.filter, UnscentedFilter)
+    return ", or let nodes learn it with --filter aukf" if plain else ""
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"

@@ -1,0 +1,61 @@
+"""Test NIS in the dashboard: the numbers of run.nc, step by step, and the chart that shows them."""
+
+import numpy as np
+import pytest
+
+from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.expected import nothing_expected
+from concord.dashboard.panels.chart import Sample
+from concord.dashboard.panels.nis_chart import nis_chart
+from concord.dashboard.view import View
+from concord.experiments.results.innovations.of_run import run_innovations
+from concord.experiments.results.trace import read_trace
+from concord.runtime.whole_steps import WholeSteps
+from tests.dashboard.runs import frames_of, run_of
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("target-tracking", {"nodes": 6, "steps": 24}),
+        ("dc-motor-speed", {"nodes": 4, "steps": 12}),
+        ("vehicle-network", {"steps": 40}),
+        ("oscillator", {"nodes": 4, "steps": 16, "changes": ("4 kill 1", "9 restart 1")}),
+    ],
+)
+def test_frames_have_the_nis_of_the_run(name: str, options: dict):
+    stage, messages = run_of(name, **options)
+    found = run_innovations(stage.setup, read_trace(stage.setup, messages))
+    assert found is not None
+    nis, entries = found.own.nis[0], found.own.entries[0]
+    for frame in frames_of(stage, messages):
+        told = frame.scores.nis
+        assert told is not None
+        np.testing.assert_allclose(told.squares, np.nansum(nis[frame.step], axis=-1), rtol=1e-9)
+        np.testing.assert_array_equal(told.freedoms, entries[frame.step].sum(axis=-1))
+
+
+def test_the_chart_has_nodes_the_selected_one_and_their_bounds():
+    stage, messages = run_of("oscillator", nodes=4, steps=30)
+    frames = frames_of(stage, messages)
+    times = np.array([frame.time_s for frame in frames])
+    for selected in (None, 2, 3):  # node 3 is blind
+        view = View(selected=selected)
+        sample = Sample(stage, view, frames, times, nothing_expected(times))
+        nodes, own, low, high = (line.column(sample) for line in nis_chart().lines)
+        assert np.isfinite(nodes).all() and (low < 1).all() and (high > 1).all()
+        assert np.isfinite(own).all() == (selected == 2)
+        assert ((low < nodes) & (nodes < high)).mean() > 0.7
+
+
+def test_a_step_that_was_left_out_has_no_nis_after_it():
+    stage, messages = run_of("oscillator", nodes=4, steps=10)
+    together = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
+    steps = [step for message in messages for step in together.take(*message)]
+    assembler = Assembler(stage)
+    frames = [assembler.frame(step) for step in steps if step.number != 5]
+    nis = {frame.step: frame.scores.nis for frame in frames if frame is not None}
+    told = nis[6]
+    assert told is not None and not told.freedoms.any() and np.isnan(told.of(0))
+    after = nis[7]
+    assert after is not None and after.freedoms.sum() == 3

@@ -1,0 +1,231 @@
+"""Test the sentence that ends a run: its words follow from figures, end to end and one by one."""
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from rich.console import Console
+
+from concord.experiments.__main__ import main
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.innovations.channel_test import ChannelTest
+from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
+from concord.experiments.results.innovations.of_run import channel_table, run_innovations
+from concord.experiments.results.innovations.sentence import innovation_verdict
+from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.summary import Figures, lines, summarise
+from concord.experiments.results.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.setup import Setup
+from tests.experiments.support import scenario, small
+
+FITTING = Interval(1.0, 0.9, 1.1)
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
+YAW = Channel(2, 0, 0, "yaw rate", "rad/s")
+OFF = ChannelTest(
+    updates=200,
+    nis=Interval(14.0, 12.0, 16.0),
+    mean=Interval(0.02, 0.018, 0.022),
+    shift=3.0,
+    spread=5.0,
+    correlation=0.4,
+    p_mean=0.0,
+    p_spread=0.0,
+    p_white=0.0,
+)
+
+
+def said(cause: Cause, others: int = 0, name: str = "oscillator", **options) -> str:
+    diagnosis = Diagnosis(cause, YAW, OFF, others)
+    return innovation_verdict(scenario(name, **options), diagnosis, FITTING, FITTING)
+
+
+@pytest.mark.parametrize(
+    ("cause", "words"),
+    [
+        (Cause.OFFSET, "it reads 0.02 rad/s (95 %: 0.018 to 0.022) off its prediction"),
+        (Cause.NOISE_TOO_SMALL, "its noise is larger than the filter's R, or it is biased by 0.02"),
+        (Cause.NOISE_TOO_LARGE, "lower R"),
+        (Cause.COLOURED, "correlate by 0.4: its errors are not white"),
+        (Cause.ALL_NOISE_TOO_SMALL, "other sensors are alike"),
+        (Cause.ALL_NOISE_TOO_LARGE, "other sensors are alike"),
+        (Cause.PROCESS_NOISE_TOO_SMALL, "process noise Q is too small"),
+        (Cause.PROCESS_NOISE_TOO_LARGE, "process noise Q is too large"),
+        (Cause.MODEL, "the model does not move as the readings do"),
+    ],
+)
+def test_each_cause_has_its_words(cause: Cause, words: str):
+    sentence = said(cause)
+    assert sentence.startswith("overconfident: NIS of node 2's yaw rate is 14 where 1 is right")
+    assert words in sentence
+
+
+def test_identification_is_named_only_where_there_is_a_log():
+    assert "identify" not in said(Cause.MODEL)
+    assert "identify" not in said(Cause.MODEL, name="vehicle-network")
+    logged = said(Cause.MODEL, name="vehicle-network", data="drives/one")
+    assert "`concord identify --data drives/one` fits the car's model to the log" in logged
+    assert "identify" not in said(Cause.OFFSET, name="vehicle-network", data="drives/one")
+
+
+def test_other_channels_are_counted():
+    assert said(Cause.OFFSET, 1).endswith("; 1 more channel deviates, less so")
+    assert said(Cause.OFFSET, 3).endswith("; 3 more channels deviate, less so")
+
+
+@pytest.mark.parametrize(
+    ("nis", "anees", "words"),
+    [
+        (FITTING, FITTING, "consistent: models and sensors fit the readings (NIS 1, ANEES 1 "),
+        (FITTING, UNKNOWN, "consistent: models and sensors fit the readings (NIS 1 where"),
+        (FITTING, Interval(0.5, 0.4, 0.6), "underconfident: models and sensors fit the readings"),
+        (FITTING, Interval(2.0, 1.5, 2.5), "but rule ci claims too much (ANEES 2 where 1 is right"),
+        (Interval(1.5, 1.2, 1.8), UNKNOWN, "but rule ci claims too much (NIS 1.5 where 1 is right"),
+        (FITTING, Interval(1.05, 1.01, 1.09), "consistent"),
+        (FITTING, Interval(2.0, 0.8, 5.0), "consistent"),
+        (
+            FITTING,
+            Interval(0.1, np.nan, np.nan),
+            "(NIS 1 where 1 is right); too few scored steps to judge ANEES 0.1",
+        ),
+    ],
+)
+def test_estimates_are_judged_where_sensors_and_models_fit(nis, anees, words: str):
+    assert words in innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees)
+
+
+def test_an_offset_beside_another_cause_is_named_too():
+    noisy = Channel(0, 0, 0, "speed", "m/s")
+    diagnosis = Diagnosis(Cause.NOISE_TOO_SMALL, noisy, OFF, 1, (YAW, OFF))
+    sentence = innovation_verdict(scenario("oscillator"), diagnosis, FITTING, FITTING)
+    assert "NIS of node 0's speed" in sentence
+    assert sentence.endswith("besides, node 2's yaw rate reads 0.02 rad/s (95 %: 0.018 to 0.022) "
+                             "off its prediction")  # fmt: skip
+
+
+def test_too_few_readings_are_no_verdict():
+    few = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.UNKNOWN), UNKNOWN, UNKNOWN)
+    assert "too few readings to judge" in few
+
+
+def figures(**options) -> Figures:
+    setup = small(**{"steps": 220, "seed": 3, "rule": "labelled", **options})
+    return summarise(setup, read_trace(setup, in_memory(setup)))
+
+
+def test_a_run_whose_models_are_right_is_consistent():
+    found = figures()
+    assert found.verdict is not None and found.verdict.startswith("consistent: ")
+    assert found.innovations is not None
+    low, high = found.innovations.centralised.interval or (np.nan, np.nan)
+    assert low < 1 < high
+    assert [one.name for one in found.innovations.channels] == ["position", "velocity", "position"]
+
+
+def test_a_sensor_with_an_offset_is_named_by_a_run():
+    found = figures(changes=("0 bias 2 2",))
+    assert found.verdict is not None
+    assert "node 2's position" in found.verdict and "correct its offset" in found.verdict
+    assert found.innovations is not None
+    channel = next(one for one in found.innovations.channels if one.node == 2)
+    low, high = channel.mean_interval or (np.nan, np.nan)
+    # Two standard deviations of 0.5 m; the filter takes a part of them for motion.
+    assert 0 < low < high < 1.0
+
+
+def test_a_sensor_that_delivers_outliers_is_named_by_a_run():
+    found = figures(changes=("0 outlier 0 .3 6",))
+    assert found.verdict is not None and found.verdict.startswith("overconfident: NIS of node 0's")
+
+
+def without_truth(setup: Setup) -> Figures:
+    trace = read_trace(setup, in_memory(setup))
+    return summarise(setup, trace._replace(truth=np.full_like(trace.truth, np.nan)))
+
+
+def test_a_run_without_truth_has_figures_and_a_verdict():
+    found = without_truth(small(steps=120, seed=3, rule="labelled"))
+    assert found.verdict is not None and found.verdict.startswith("consistent")
+    assert "ANEES" not in found.verdict
+    assert not any("nan" in line for line in lines(found))
+
+
+def test_json_has_the_verdict_and_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    options = f"run --scenario oscillator --nodes 4 --steps 60 --json --out {tmp_path}/run"
+    main(options.split())
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] and len(told["innovations"]["channels"]) == 3
+    assert {"nis", "mean", "correlation", "p_white"} <= set(told["innovations"]["channels"][0])
+
+
+def test_the_last_line_of_a_run_is_its_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    main(f"run --scenario oscillator --nodes 4 --steps 60 --out {tmp_path}/run".split())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert printed.rpartition("verdict: ")[2].endswith("where 1 is right)")
+
+
+def test_sets_have_no_innovations():
+    setup = small("liu2021-network", nodes=6, steps=5, rule="ellipsoid")
+    trace = read_trace(setup, in_memory(setup))
+    assert run_innovations(setup, trace) is None
+    assert summarise(setup, trace).verdict is None
+
+
+def test_the_batched_driver_has_the_innovations_of_messages():
+    setup = small("target-tracking", nodes=5, steps=25)
+    trace = read_trace(setup, in_memory(setup))
+    expected = run_innovations(setup, trace)
+    found = simulate(setup, [0], keep=["readings", "innovations"]).innovations
+    assert expected is not None and found is not None
+    for own, other in zip(expected.own, found, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-10)
+    assert simulate(setup, [0]).innovations is None  # kept where they are asked for
+    assert "innovation" not in departures(setup, trace)
+    shifted = trace._replace(mean=trace.mean + 1e-4)
+    assert {"mean", "innovation"} <= set(departures(setup, shifted))
+
+
+@pytest.mark.parametrize("options", ["oscillator --nodes 4", "vehicle-network"])
+def test_many_runs_have_innovations_and_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str
+):
+    """A vehicle's nodes learn their noise, so its runs go one by one."""
+    runs = f"--steps 60 --driver batched --runs 2 --json --out {tmp_path}/run"
+    main(f"run --scenario {options} {runs}".split())
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] and told["innovations"]["channels"]
+    with xarray.open_dataset(tmp_path / "run" / "run.nc", engine="h5netcdf") as data:
+        assert data["innovation"].dims == ("run", "step", "node", "reading", "entry")
+        assert data["nis"].dims == ("run", "step", "node", "reading")
+        taken = np.isfinite(data["readings"].to_numpy()).any(axis=-1)
+        np.testing.assert_array_equal(np.isfinite(data["nis"].to_numpy()), taken)
+
+
+@pytest.mark.zenoh
+def test_processes_have_the_innovations_of_one_process(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    told, arrays = [], []
+    for driver in ("in-process", "processes"):
+        options = f"--driver {driver} --json --out {tmp_path}/{driver}"
+        main(f"run --scenario oscillator --nodes 3 --graph path --steps 40 {options}".split())
+        told.append(json.loads(capsys.readouterr().out))
+        with xarray.open_dataset(tmp_path / driver / "run.nc", engine="h5netcdf") as data:
+            arrays.append(data.load())
+    assert told[0]["verdict"] == told[1]["verdict"]
+    assert told[0]["innovations"] == told[1]["innovations"]
+    for name in ("innovation", "innovation_cov", "nis", "centralised_nis"):
+        assert arrays[0][name].to_numpy().tobytes() == arrays[1][name].to_numpy().tobytes()
+
+
+def test_the_table_of_channels_fits_eighty_columns():
+    console = Console(width=80, record=True, file=StringIO())
+    found = figures(steps=40).innovations
+    assert found is not None
+    console.print(channel_table(found))
+    text = console.export_text()
+    assert "0: position [m]" in text and "…" not in text
