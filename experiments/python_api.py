@@ -39,7 +39,7 @@ from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.options import ScenarioOptions, SweptOptions
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from concord.scenarios.user_values import kept_source
+from concord.scenarios.user.values import kept_source
 
 if TYPE_CHECKING:
     import xarray

@@ -54,8 +54,8 @@ from concord.scenarios.types.buses import (
     urgency_classes_of,
 )
 from concord.scenarios.types.rules import MeasurementFlooding, latch_delay_of
-from concord.scenarios.user_bus import user_bus, user_frame_format
-from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
+from concord.scenarios.user.bus import user_bus, user_frame_format
+from concord.scenarios.user.values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
 # Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a

@@ -15,7 +15,7 @@ from concord.scenarios.definitions import (
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.user_values import is_source_name, source_of
+from concord.scenarios.user.values import is_source_name, source_of
 from concord.topology.names import unknown_name
 
 _DEFINITIONS: dict[str, ScenarioDefinition] = {

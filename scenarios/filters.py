@@ -38,7 +38,7 @@ from concord.scenarios.types.filters import (
     UnscentedFilter,
     UserFilter,
 )
-from concord.scenarios.user_values import ValueSource, value_of
+from concord.scenarios.user.values import ValueSource, value_of
 
 # Affine functions pass through three points on a line to so many roundings of the values.
 _ROUNDINGS = 1e-9

@@ -27,8 +27,8 @@ from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
 from concord.scenarios.types.rules import number_of
-from concord.scenarios.user_bus import check_user_bus
-from concord.scenarios.user_values import is_source_name, source_of, value_of
+from concord.scenarios.user.bus import check_user_bus
+from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
 
 

@@ -58,7 +58,7 @@ from concord.scenarios.types.rules import (
     hold_of,
     number_of,
 )
-from concord.scenarios.user_values import ValueSource, function_or
+from concord.scenarios.user.values import ValueSource, function_or
 from concord.topology.names import unknown_name
 
 if TYPE_CHECKING:

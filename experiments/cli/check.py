@@ -27,7 +27,7 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from concord.scenarios.user_values import is_source_name, source_of, value_of
+from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
 
 

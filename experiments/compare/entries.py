@@ -17,7 +17,7 @@ from concord.experiments.sweep.specification import Specification, cells_of, spe
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import rule_of
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from concord.scenarios.user_values import is_source_name
+from concord.scenarios.user.values import is_source_name
 from concord.topology.names import unknown_name
 
 DATA_MISSING = "it replays recorded data: name the folder of a MRCLAM data set with --data"

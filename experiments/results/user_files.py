@@ -9,7 +9,7 @@ from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import arbiter_of
 from concord.scenarios.types.option import Choice
-from concord.scenarios.user_values import (
+from concord.scenarios.user.values import (
     FromFile,
     ValueSource,
     file_of,

@@ -13,7 +13,7 @@ import numpy as np
 from concord.experiments.scenario_options import offered_options, scenario_with_known
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import flat, refuse_left
-from concord.scenarios.user_values import is_source_name, source_of
+from concord.scenarios.user.values import is_source_name, source_of
 from concord.topology.names import unknown_name
 
 Value = str | float | int | bool | None

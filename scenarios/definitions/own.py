@@ -11,7 +11,7 @@ from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.user_values import (
+from concord.scenarios.user.values import (
     FromFile,
     ValueSource,
     kept_source,

@@ -26,7 +26,7 @@ from concord.scenarios.types.filters import FilterBase, RecommendedFilter
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import UserPlant
 from concord.scenarios.types.rules import Reception
-from concord.scenarios.user_values import kept_source
+from concord.scenarios.user.values import kept_source
 
 BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]
 """A number or a matrix (m_j, m_j) for each sensor, or a function of the step that gives them."""

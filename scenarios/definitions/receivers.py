@@ -38,7 +38,7 @@ from concord.scenarios.types.filters import (
     ZonotopeReceiver,
 )
 from concord.scenarios.types.rules import Reception
-from concord.scenarios.user_values import value_of
+from concord.scenarios.user.values import value_of
 
 
 class ReceiverParts(NamedTuple):

@@ -3,7 +3,7 @@
 from typing import Annotated, ClassVar, Literal, get_args
 
 from concord.scenarios.types.option import USER, Choice, Option, name_of
-from concord.scenarios.user_values import FromFile, builder_source
+from concord.scenarios.user.values import FromFile, builder_source
 
 
 class BusSchedule(Choice, frozen=True, kw_only=True):

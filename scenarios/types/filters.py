@@ -4,7 +4,7 @@ from typing import Annotated, Literal, get_args
 
 from concord.filters.filter import Filter
 from concord.scenarios.types.option import USER, Choice, Option, name_of
-from concord.scenarios.user_values import FromFile, is_source_name, kept_source, source_of
+from concord.scenarios.user.values import FromFile, is_source_name, kept_source, source_of
 
 
 class FilterBase(Choice, frozen=True, kw_only=True):

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 from concord.scenarios.types.option import USER, Choice, Option
-from concord.scenarios.user_values import FromFile, ValueSource, is_source_name, source_of
+from concord.scenarios.user.values import FromFile, ValueSource, is_source_name, source_of
 
 DATA = Option("Folder of recorded data.")
 

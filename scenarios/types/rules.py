@@ -14,7 +14,7 @@ from concord.scenarios.types.holds import (
     ZeroOrder,
 )
 from concord.scenarios.types.option import USER, Choice, Option, name_of
-from concord.scenarios.user_values import FromFile, builder_source
+from concord.scenarios.user.values import FromFile, builder_source
 
 Number = Literal["float64", "float32", "float16"]
 HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)

@@ -27,7 +27,7 @@ from concord.bus.can_fd.priority import BidLevels, layout
 from concord.bus.captured import Captured
 from concord.bus.schedule import dynamic_only, full_publish, hybrid
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
-from concord.scenarios.user_bus import broken_promises
+from concord.scenarios.user.bus import broken_promises
 from tests.bus.support import long_division, quick
 
 sizes = st.sampled_from(DATA_BYTES)

@@ -22,7 +22,7 @@ from concord.bus.plca.cycle import (
 from concord.bus.plca.ethernet import FRAMING, frame_bits, pack, unpack
 from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import full_publish, round_robin
-from concord.scenarios.user_bus import broken_promises
+from concord.scenarios.user.bus import broken_promises
 from tests.bus.support import long_division, quick
 
 timings = st.builds(PlcaSettings, st.integers(1, 255), st.integers(0, 3))

@@ -7,7 +7,7 @@ import pytest
 from concord.experiments.agreement import first_difference
 from concord.experiments.results.folder import read_description
 from concord.runtime.drivers import in_this_process
-from concord.scenarios.user_values import source_of
+from concord.scenarios.user.values import source_of
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.namespaces import lan

@@ -25,7 +25,7 @@ from concord.scenarios.preparation import prepare, share_bytes
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import BusChoice, TimedBus, UserBus
 from concord.scenarios.types.option import name_of
-from concord.scenarios.user_bus import broken_promises
+from concord.scenarios.user.bus import broken_promises
 from tests.dashboard.runs import frames_of
 from tests.experiments.flexray_support import concord, dissect, needs_tshark, refused
 from tests.experiments.support import scenario

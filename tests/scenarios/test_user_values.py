@@ -23,7 +23,7 @@ from concord.scenarios.definitions.own import own_scenario, portable
 from concord.scenarios.preparation import fingerprint, prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import flat
-from concord.scenarios.user_values import is_source_name, source_of, value_of
+from concord.scenarios.user.values import is_source_name, source_of, value_of
 
 MODEL = Oscillation()
 

@@ -10,7 +10,7 @@ from concord.bus.bus import Bus, Fragment, FrameFormat, Rejected, Transmission
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.bus.schedule import Schedule
 from concord.scenarios.types.buses import UserBus
-from concord.scenarios.user_values import value_of
+from concord.scenarios.user.values import value_of
 
 MUST = (
     "a function or class build(schedule, share_bytes, arbiter) that gives a Bus (docs/own_plant.md)"
