@@ -75,15 +75,15 @@ class AdaptiveFilter(Generic[Memory]):
         found = self.inner.update(
             belief, measurement, measure, learnt, residual=residual, gate=gate
         )
-        left, spread = unexplained(found.belief, measurement, measure, self.rule, residual)
         declared = np.diagonal(noise_cov, axis1=-2, axis2=-1)
         # A channel without noise has no unit to learn in, and learns nothing.
         declared = np.where(declared > 0, declared, np.nan)
         deviation = np.sqrt(declared)
-        evidence = ReadingEvidence(
-            found.innovation / deviation,
-            np.diagonal(found.innovation_cov, axis1=-2, axis2=-1) / declared,
-            left / deviation,
-            spread / declared,
-        )
+
+        def rest() -> tuple[np.ndarray, np.ndarray]:
+            left, spread = unexplained(found.belief, measurement, measure, self.rule, residual)
+            return left / deviation, spread / declared
+
+        expected = np.diagonal(found.innovation_cov, axis1=-2, axis2=-1) / declared
+        evidence = ReadingEvidence(found.innovation / deviation, expected, rest)
         return found, self.law.adapt(memory, evidence)

@@ -1,5 +1,6 @@
 """The interface of a law by which a filter learns the noise of a sensor; what the law is told."""
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -13,14 +14,13 @@ class ReadingEvidence(NamedTuple):
     Attributes:
         innovation: (..., m), reading minus prediction; NaN for a channel that was not taken.
         expected: (..., m), its variance with the noise learnt so far.
-        residual: (..., m), reading minus what the posterior predicts.
-        spread: (..., m), variance of that prediction.
+        unexplained: the reading minus the prediction of the posterior, and the variance of that
+            prediction, (..., m) each. It evaluates the measurement model at the posterior.
     """
 
     innovation: np.ndarray
     expected: np.ndarray
-    residual: np.ndarray
-    spread: np.ndarray
+    unexplained: Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 class NoiseLaw(Protocol[Memory]):

@@ -134,8 +134,7 @@ class SageHusa:
         """The memory after one reading more."""
         return adapt(
             memory,
-            evidence.residual,
-            evidence.spread,
+            *evidence.unexplained(),
             forgetting=self.forgetting,
             bounds=self.bounds,
             outlier_limit=self.outlier_limit,
