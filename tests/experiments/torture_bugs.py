@@ -206,7 +206,7 @@ BUGS = (
         "those who agree most are taken for liars",
         "concord.filters.fusion.trimmed",
         "_far_ones",
-        (("candidates, -distance", "candidates, distance"),),
+        (("candidates, -np.where", "candidates, np.where"),),
     ),
     Bug(
         "a neighbour may be as sure as it likes",
