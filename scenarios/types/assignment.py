@@ -158,18 +158,24 @@ def refuse_left(root: msgspec.Struct, left: Mapping[str, Any]) -> None:
 
 def owners_in_words(owned: list[Owned], chosen: Mapping[str, Any]) -> str:
     """The choices that have an option: "--hold decayed of --rule ci, trimmed-ci or wac"."""
-    names: dict[str, list[str]] = {}
+    groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for one in owned:
+        names = groups.setdefault(tuple(option for option, _ in one.owners), {})
         for option, name in one.owners:
             if name not in names.setdefault(option, []):
                 names[option].append(name)
-    missing = {
-        option: values for option, values in names.items() if chosen.get(option) not in values
-    }
-    if not missing:
+    phrases = [_missing(names, chosen) for names in groups.values()]
+    if not all(phrases):
         return _flag(owned[0].declaration.says.needs)
+    return " or ".join(phrases)
+
+
+def _missing(names: dict[str, list[str]], chosen: Mapping[str, Any]) -> str:
+    """Return the choices of these names that are not made, the innermost first; "" for none."""
     return " of ".join(
-        f"{_flag(option)} {_listed(values)}" for option, values in reversed(missing.items())
+        f"{_flag(option)} {_listed(values)}"
+        for option, values in reversed(names.items())
+        if chosen.get(option) not in values
     )
 
 
