@@ -101,6 +101,7 @@ class TimelineView:
                     state,
                     frame.node == selected,
                     frame.node in cycle.missed,
+                    cycle.bus.channels,
                 )
             )
         parts.append(names_of_trains(axis, theme, names, cycle))

@@ -48,10 +48,12 @@ def names_of_trains(axis: Axis, theme: Theme, names: Sequence[str], cycle: BusCy
 
 def slot(
     axis: Axis, theme: Theme, name: str, frame: Transmission, state: str, is_selected: bool,
-    is_lost: bool,
+    is_lost: bool, channels: str,
 ) -> str:  # fmt: skip
-    """Return the box of a frame; `state` is past, now or future."""
+    """Return the box of a frame; `state` is past, now or future. A frame on one of two `channels`
+    has the upper or the lower half of the bar."""
     x, right = axis.x(frame.start_us), axis.x(frame.end_us)
+    top, high = _lane(frame.channel, channels)
     wide = max(right - x - 0.6, 0.8)
     colour = theme.seeing if frame.segment == "static" else theme.estimate
     if state == "now":
@@ -64,23 +66,31 @@ def slot(
         size = 10 if wide < 22 else 11
         ink = theme.panel if state != "future" else theme.quiet
         text = (
-            f'<text x="{x + wide / 2:.1f}" y="{TOP + BAR / 2 + 4:g}" font-size="{size}" '
+            f'<text x="{x + wide / 2:.1f}" y="{top + high / 2 + 4:g}" font-size="{size}" '
             f'text-anchor="middle" fill="{css(ink if theme.dark else _INK[state])}">'
             f"{escape(_short(name))}</text>"
         )
     mark = ""
     if is_lost:
         mark = (
-            f'<rect x="{x:.1f}" y="{TOP + BAR - 5:g}" width="{wide:.1f}" height="5" '
+            f'<rect x="{x:.1f}" y="{top + high - 3:g}" width="{wide:.1f}" height="5" '
             f'fill="{css(theme.down)}"/>'
         )
     return (
         f'<g class="slot" data-node="{frame.node}"><title>node {escape(name)}: frame '
-        f"{frame.frame_id}, {frame.payload_bytes} bytes, {frame.start_us:.1f} to "
-        f"{frame.end_us:.1f} us{note}</title>"
-        f'<rect x="{x:.1f}" y="{TOP + 2:g}" width="{wide:.1f}" height="{BAR - 4:g}" rx="1.5" '
+        f"{frame.frame_id}, channel {frame.channel}, {frame.payload_bytes} bytes, "
+        f"{frame.start_us:.1f} to {frame.end_us:.1f} us{note}</title>"
+        f'<rect x="{x:.1f}" y="{top:g}" width="{wide:.1f}" height="{high:g}" rx="1.5" '
         f'fill="{css(shown)}"{stroke}/>{text}{mark}</g>'
     )
+
+
+def _lane(channel: str, channels: str) -> tuple[float, float]:
+    """Return top and height of a frame in the bar of a bus with these channels."""
+    whole = BAR - 4
+    if len(channel) != 1 or len(channels) < 2:
+        return TOP + 2, whole
+    return TOP + 2 + channels.index(channel) * whole / 2, whole / 2 - 1
 
 
 def silent_slot(

@@ -12,7 +12,7 @@ from concord.dashboard.frames.frame import LogEntry
 from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
 from concord.dashboard.panels.timeline import TimelineView
-from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
+from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH, Axis, slot
 from concord.dashboard.panels.zoom import SIZE, zoom
 from concord.dashboard.theme import DARK, LIGHT, linear
 from concord.dashboard.view import View
@@ -54,6 +54,23 @@ def test_frames_lie_to_scale_in_the_cycle():
         wide = (WIDTH - LEFT - RIGHT) * (frame.end_us - frame.start_us) / bus.cycle_us
         assert float(drawn[frame.node].attrib["x"]) == pytest.approx(x, abs=0.1)
         assert float(drawn[frame.node].attrib["width"]) == pytest.approx(wide, abs=0.8)
+
+
+def test_frames_of_two_channels_do_not_cover_each_other():
+    frame = FRAME.cycles[-1].frames[0]
+
+    def extent(channel: str, channels: str) -> tuple[float, float]:
+        sent = frame._replace(channel=channel)
+        text = slot(Axis(STAGE.bus.cycle_us), DARK, "n", sent, "past", False, False, channels)
+        rect = ElementTree.fromstring(text).find("rect")
+        assert rect is not None
+        top = float(rect.attrib["y"])
+        return top, top + float(rect.attrib["height"])
+
+    (first, middle), (other, last) = extent("A", "AB"), extent("B", "AB")
+    assert first < middle <= other < last
+    assert extent("AB", "AB") == extent("A", "A")
+    assert extent("AB", "AB")[0] == first and extent("AB", "AB")[1] >= last
 
 
 def test_the_frame_that_is_on_the_bus_has_a_colour_of_its_own():
