@@ -32,6 +32,7 @@ from concord.scenarios.types.filters import (
     NoiseLearningFilter,
     PosteriorLinearisation,
     SageHusaBase,
+    SetFilter,
     SquareRootCubature,
     SquareRootUnscented,
     TangentFilter,
@@ -171,13 +172,9 @@ def check_models(
     build_filter(choice, len(prior.mean))
     if entry.linear:
         _require_linear(choice, prior, model, groups)
+    check_prior(choice, prior)
     if entry.singular:
         return
-    if np.isnan(cholesky(prior.cov)).any():
-        raise ValueError(
-            f"--filter {choice.name}: the covariance of the prior is singular, and this filter "
-            "needs its Cholesky factor; give each state a variance above 0, or use --filter ekf"
-        )
     for nodes, sensor in groups:
         for reading in np.moveaxis(delivered[nodes], -2, 0):
             value, noise_cov = sensor.interpret(reading)
@@ -189,6 +186,22 @@ def check_models(
                     "the covariance after its reading is too; give each entry of a reading a "
                     "variance above 0, or use --filter ekf"
                 )
+
+
+def check_prior(choice: FilterBase, prior: Gaussian) -> None:
+    """Refuse a singular prior (n,) for a filter of Gaussian beliefs that needs a Cholesky factor.
+
+    Raises:
+        ValueError: naming the filter and the cure.
+    """
+    entry = _FILTERS.get(type(choice))
+    if isinstance(choice, SetFilter) or (entry is not None and entry.singular):
+        return
+    if np.isnan(cholesky(prior.cov)).any():
+        raise ValueError(
+            f"--filter {choice.name}: the covariance of the prior is singular, and this filter "
+            "needs its Cholesky factor; give each state a variance above 0, or use --filter ekf"
+        )
 
 
 def _require_linear(

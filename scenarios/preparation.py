@@ -17,7 +17,7 @@ from concord.nodes.share_forms import MEAN_REACH
 from concord.scenarios.bus_plan import build_schedule, plan_bus, with_pinned_arbiter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
-from concord.scenarios.filters import check_models
+from concord.scenarios.filters import check_models, check_prior
 from concord.scenarios.links import losses_of, network_of
 from concord.scenarios.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
@@ -151,13 +151,15 @@ def _check_filter(setup: Setup) -> None:
     """
     scenario = setup.scenario
     definition = definition_of(scenario)
+    prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     if definition.wiring is not None:
+        check_prior(scenario.filter, prior)
         return
     plant = definition.plant(scenario)
     noise = plant.draw(partial(generator, scenario), 1).measurement[0]
     check_models(
         scenario.filter,
-        Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
+        prior,
         definition.model(scenario),
         definition.sensor_groups(scenario),
         plant.observe(from_wire(setup.initial_state), noise, 0),

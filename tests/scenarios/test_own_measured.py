@@ -122,3 +122,13 @@ def test_weights_by_sensor_and_step_decide_who_sends():
 def test_what_cannot_be(call: Any, says: str):
     with pytest.raises(ValueError, match=says):
         call()
+
+
+def test_a_singular_prior_is_refused_where_a_filter_cannot_compute_with_it():
+    known = OwnPlant(f=lambda x: 0.9 * x, Q=[0.1, 0.2], mean=[1.0, -1.0], cov=[0.0, 2.0])
+    for receiver in ("recommended", "ukf"):
+        made = on_a_measurement_bus(known, [FIRST, BOTH], receiver=receiver, steps=5)
+        with pytest.raises(ValueError, match="the covariance of the prior is singular"):
+            prepare(made)
+    made = on_a_measurement_bus(known, [FIRST, BOTH], receiver="kf", steps=5)
+    assert np.isfinite(run(made).mean[:, 0]).all()
