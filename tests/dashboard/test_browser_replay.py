@@ -328,7 +328,7 @@ def test_exports(page: Page):
     assert scene.lstrip().lower().startswith("<!doctype html")
     assert len(scene) > 200_000
     charts = page.download("Charts (.html)").decode()
-    assert charts.count("<svg") == 4
+    assert charts.count("<svg") == 5
     assert "<script" not in charts
     assert colours_of(page.download("Charts (.png)")) > 20
     archive = zipfile.ZipFile(io.BytesIO(page.download("Run folder (.zip)")))
