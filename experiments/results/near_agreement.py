@@ -63,6 +63,10 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         if len(departs):
             where = tuple(departs[0])
             found[name] = (departs[0], expected[where], value[where])
+    if found.keys() & {"mean", "cov", "readings"}:
+        # Innovations are computed from these, and follow them.
+        for name in ("innovation", "innovation_cov"):
+            found.pop(name, None)
     return found
 
 

@@ -47,7 +47,7 @@ def test_no_chart_is_drawn_before_it_has_two_steps(page: Page):
     go_to(page, 0)
     page.dashboard.page.charts.set_theme(page.dashboard.view.theme)
     go_to(page, 12)
-    page.until(lambda: all(map(fits, plots(page).values())) and len(plots(page)) == 4)
+    page.until(lambda: all(map(fits, plots(page).values())) and len(plots(page)) == 5)
     # Without a placeholder, no plot shows the second from zero to one.
     assert all(plot["data"] == [0, 12] for plot in plots(page).values())
 
@@ -67,7 +67,7 @@ def test_a_fresh_page_shows_all_of_the_time_though_data_and_lines_come_at_once(p
     go_to(page, 70)
     for _ in range(SEEN_TIMES):
         page.page.reload()
-        page.until(lambda: len(plots(page)) == 4)
+        page.until(lambda: len(plots(page)) == 5)
         # Meanwhile the steps and the lines change.
         for step in (3, 50, 80, 70):
             page.dashboard.inputs.alter(lambda view, step=step: view.look_at(step))
