@@ -67,7 +67,8 @@ def test_a_network_that_stops_is_silent_and_one_that_returns_is_shown_again(tmp_
         try:
             assert shows(page, lambda status: ">RUNNING<" in status)
             assert commands_are_open(page)
-            assert page.source.ask({"do": "pause"}).accepted
+            # A network that has not begun refuses commands.
+            assert holds_within(PATIENCE_S, lambda: page.source.ask({"do": "pause"}).accepted)
             assert shows(page, lambda status: ">PAUSED<" in status)
 
             stopped = run.alive()
