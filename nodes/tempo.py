@@ -1,6 +1,11 @@
 """When things are due in a network that runs in real time."""
 
+import math
+
 import msgspec
+
+# An estimate is waited for as long as it takes to see that a process hangs, and no longer.
+_ESTIMATE_TIMEOUT_S = 2.5
 
 
 class Tempo(msgspec.Struct, frozen=True):
@@ -15,6 +20,11 @@ class Tempo(msgspec.Struct, frozen=True):
     stretch: float
     cycle_s: float
     step_s: float
+
+    @property
+    def timeout_steps(self) -> int:
+        """Steps after which an estimate that has not come counts as lost."""
+        return 1 + math.ceil(_ESTIMATE_TIMEOUT_S / self.step_s)
 
     def step_begins_s(self, step: int) -> float:
         """The sampling instant of a step."""

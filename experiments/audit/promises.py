@@ -204,7 +204,7 @@ def _counters(run: Run) -> Account:
 def _told(run: Run) -> Account:
     """Whether all members heard in a step of the changes that happened in it.
 
-    A node that joins is welcomed with its own return. Of a death all hear on a topic of its own.
+    Who joins is welcomed with the state of the network. Of a death all hear on a topic of its own.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
@@ -212,12 +212,8 @@ def _told(run: Run) -> Account:
             happened.setdefault(step, []).append(change)
     broken = []
     for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
-        for_node = [
-            change
-            for change in happened.get(step, [])
-            if change["what"] != "joined" or change["node"] != node
-        ]
-        if _without_pace(told) != _without_pace(for_node):
+        joins = any(turn.is_in for turn in run.membership.turns.get(node, ()) if turn.step == step)
+        if not joins and _without_pace(told) != _without_pace(happened.get(step, [])):
             broken.append(f"step {step}: node {node}")
     return _account(len(run.evidence.heartbeats), broken)
 

@@ -1,15 +1,11 @@
 """The timetable of the environment process in real time."""
 
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import BidsClosed, StepClosed
 from concord.nodes.tempo import Tempo
-
-# An estimate is waited for as long as it takes to see that a process hangs, and no longer.
-ESTIMATE_TIMEOUT_S = 2.5
 
 
 class Beat(NamedTuple):
@@ -24,7 +20,7 @@ def timetable(
     A step begins at its sampling instant. Bids end in the middle of their group, so that winners
     have the other half to send. A step is closed some steps later.
     """
-    timeout_steps = 1 + math.ceil(ESTIMATE_TIMEOUT_S / tempo.step_s)
+    timeout_steps = tempo.timeout_steps
     for step in range(config.steps + timeout_steps):
         begins_s = tempo.step_begins_s(step)
         if step >= timeout_steps:

@@ -5,9 +5,6 @@ import time
 from concord.nodes.node_state import NodeConfig, NodeState
 from concord.nodes.tempo import Tempo
 
-# A node that is so far behind, in steps and in time, leaves out what is between.
-_BEHIND_STEPS, _BEHIND_S = 10, 1.0
-
 
 class NodeTimetable:
     """Times of steps and groups since the common start; `start_s` is 0 until that is known."""
@@ -30,5 +27,5 @@ class NodeTimetable:
         return self.tempo.group_ends_s(state.step, cycle, state.group, groups) - self.now_s()
 
     def is_far_behind(self, step: int) -> bool:
-        """Whether a node that only begins this step has to skip ahead."""
-        return self.late_s(step) > max(_BEHIND_STEPS * self.tempo.step_s, _BEHIND_S)
+        """Whether the estimate of a step that only begins would count as lost."""
+        return self.late_s(step) > self.tempo.timeout_steps * self.tempo.step_s
