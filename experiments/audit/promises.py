@@ -204,7 +204,8 @@ def _counters(run: Run) -> Account:
 def _told(run: Run) -> Account:
     """Whether all members heard in a step of the changes that happened in it.
 
-    Who joins is welcomed with the state of the network. Of a death all hear on a topic of its own.
+    A node that joins is welcomed with the state of the network. Of a death all hear on a topic of
+    its own.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
