@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from concord.experiments import option_types
-from concord.experiments.cli.scenario_flags import GROUPS
+from concord.experiments.scenario_flags import GROUPS
 from concord.experiments.scenario_options import OfferedOption, offered_options
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "options.md"

@@ -11,10 +11,10 @@ import msgspec
 import tyro
 
 from concord.experiments.agreement import Agreement, agreement
-from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import BATCHED
 from concord.experiments.results.near_agreement import TOLERANCE
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.runtime.processes.launcher import NetworkFailed
 from concord.scenarios.preparation import prepare

@@ -13,7 +13,6 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.cli.sweep import FILE_WIDTH
 from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
 from concord.experiments.design.results import (
@@ -30,6 +29,7 @@ from concord.experiments.design.space import placements_of, space_of
 from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
+from concord.experiments.scenario_flags import said_in
 from concord.experiments.scenario_options import scenario_with_known
 from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.options import FieldOptions

@@ -13,7 +13,6 @@ import msgspec
 import tyro
 
 from concord.experiments.cli.collect import FiguresForm, finish
-from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.host_place import place_of, read_setup, take_part
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import (
@@ -24,6 +23,7 @@ from concord.experiments.results.folder import (
     write_description,
 )
 from concord.experiments.results.run_results import completed
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.nodes.commands import Kill, Restart
 from concord.runtime.drivers import RunPace

@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 import tyro
 
 from concord.experiments.cli.collect import CaptureCycles, FiguresForm, finish
-from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.memory import check_address_space, check_memory
 from concord.experiments.monte_carlo.run_many import run_many
@@ -27,6 +26,7 @@ from concord.experiments.results.folder import (
 )
 from concord.experiments.results.run_results import Captures, check_captures, completed
 from concord.experiments.results.smoothing import check_smoothing
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import NotWritten

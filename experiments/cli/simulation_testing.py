@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.progress import progress
+from concord.experiments.scenario_flags import said_in
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
 from concord.experiments.simulation_testing.draw import draw_case

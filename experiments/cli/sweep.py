@@ -10,9 +10,9 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
+from concord.experiments.scenario_flags import said_in
 from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.placements import in_words, over_placements

@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.timeline import timeline
-from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.flexray.clusters import write_new
 from concord.experiments.flexray.plan_report import (
     PlanAnswer,
@@ -23,6 +22,7 @@ from concord.experiments.flexray.plan_report import (
 from concord.experiments.flexray.rehearsal import rehearse
 from concord.experiments.results import bus_report
 from concord.experiments.results.bus_report import timetable
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import FITTED

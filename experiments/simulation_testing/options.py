@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from concord.experiments.cli.scenario_flags import grouped_flags, texts
+from concord.experiments.scenario_flags import grouped_flags, texts
 from concord.experiments.scenario_options import offered_options
 from concord.experiments.simulation_testing.wire import read_wire
 

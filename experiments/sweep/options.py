@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from concord.experiments.cli.scenario_flags import grouped_flags, texts
+from concord.experiments.scenario_flags import grouped_flags, texts
 
 if TYPE_CHECKING:
 

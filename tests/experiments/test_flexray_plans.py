@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from concord.bus.flexray.dynamic_segment import walk
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
-from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.flexray.plan_report import run_command, slot_rows
 from concord.experiments.flexray.rehearsal import (
     alternatives,
@@ -22,6 +21,7 @@ from concord.experiments.flexray.rehearsal import (
     rehearse,
 )
 from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.scenario_options import scenario_of
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus

@@ -6,7 +6,7 @@ import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.cli.scenario_flags import said_in
+from concord.experiments.scenario_flags import said_in
 from concord.experiments.sweep.cells import checked_cells, difference
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.specification import FIELDS, Range, cells_of, specify
