@@ -1,7 +1,8 @@
 """Messages put together by steps: what was said of each, once it is over.
 
-A step is over when all its participants have estimated it, or when the plant is so much further
-that the network has gone on without the rest. Within a step the order of messages does not matter.
+A step is over when the last word of all its participants has come. The words of one process keep
+their order, so who speaks of a later step has said the last of an earlier one. Words of different
+processes overtake each other: on a loaded machine a link falls many steps behind.
 """
 
 from contextlib import suppress
@@ -15,10 +16,8 @@ from concord.nodes.bounds import UNREADABLE, Instant, node_of
 from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode
 
-# More than the environment ever runs ahead of the slowest estimate.
-_STEPS_AHEAD = 8
-# A cycle may seem to be far ahead until it is told that steps have more cycles from now on.
-_FAR_STEPS = 100
+# A bound on memory alone: in lockstep an event tells of each node that is gone.
+_PATIENCE_STEPS = 1000
 
 
 class WholeStep(NamedTuple):
@@ -41,20 +40,25 @@ class _Step:
     measured: set[int] = field(default_factory=set)
     estimated: set[int] = field(default_factory=set)
     has_truth: bool = False
+    # Of the environment, which says the truth first and then what was measured.
+    is_left: bool = False
 
     def is_complete(self) -> bool:
         """Whether nothing more will come of it."""
         # Counted first: to compare sets with every estimate would cost the square of the nodes.
-        counted = len(self.estimated) >= len(self.members) and self.has_truth
-        return counted and self.members <= self.estimated and self.members <= self.measured
+        if len(self.estimated) < len(self.members) or not (self.has_truth or self.is_left):
+            return False
+        return self.members <= self.estimated and (self.is_left or self.members <= self.measured)
 
 
 class WholeSteps:
     """Takes the messages of a run one by one, from the first on, and gives its steps in order."""
 
-    def __init__(self, nodes: int, rounds: int, frame_format: FrameFormat) -> None:
+    def __init__(
+        self, nodes: int, rounds: int, frame_format: FrameFormat, patience: int = _PATIENCE_STEPS
+    ) -> None:
         """A network of so many nodes that begins with so many rounds per step, on a bus with frames
-        of this format."""
+        of this format. When the plant is further than `patience` steps, nobody is waited for."""
         self._cycle_of = frame_format.cycle_of
         self.nodes = nodes
         self._everybody = frozenset(range(nodes))
@@ -63,6 +67,8 @@ class WholeSteps:
         # By cycle: which step that belongs to may be told a little later.
         self._shares: list[tuple[int, tuple[str, bytes]]] = []
         self._next, self._reached = 0, 0
+        self._patience = patience
+        self._latest = [-1] * nodes
 
     def take(self, topic: str, data: bytes) -> list[WholeStep]:
         """Take one message; return the steps over now. Ignore bytes that are no message."""
@@ -76,19 +82,40 @@ class WholeSteps:
             return []
         number = self._step_of(kind, data)
         # Only the plant's truth may be further ahead than the messages under way.
-        soon = kind == "truth" or (number or 0) <= self._reached + _STEPS_AHEAD
+        soon = kind == "truth" or (number or 0) <= self._reached + _PATIENCE_STEPS
         if number is None or number < self._next or not soon:
             return []
         step = self._steps.get(number)
         if step is None:
-            step = self._steps[number] = _Step(self._members(number))
+            step = self._steps[number] = self._begun(number)
         step.messages.append((topic, data))
         if kind == "truth":
             step.has_truth = True
             self._reached = max(self._reached, number)
+            for earlier in self._before(number):
+                earlier.is_left = True
+        elif node is not None and kind == "measured":
+            step.measured.add(node)
         elif node is not None:
-            (step.measured if kind == "measured" else step.estimated).add(node)
+            step.estimated.add(node)
+            if number > self._latest[node] + 1:
+                for earlier in self._before(number):
+                    earlier.estimated.add(node)
+            self._latest[node] = max(number, self._latest[node])
         return self._over()
+
+    def rest(self) -> list[WholeStep]:
+        """Nothing more will be said: the steps that were waited for."""
+        self._patience = -1
+        return self._over()
+
+    def _begun(self, number: int) -> _Step:
+        passed = {node for node, latest in enumerate(self._latest) if latest > number}
+        members, is_left = self._members(number), self._reached > number
+        return _Step(members, estimated=passed, is_left=is_left)
+
+    def _before(self, number: int) -> list[_Step]:
+        return [step for earlier, step in self._steps.items() if earlier < number]
 
     def _step_of(self, kind: str, data: bytes) -> int | None:
         """The step of a message that is drawn."""
@@ -119,8 +146,7 @@ class WholeSteps:
         while self._steps:
             number = min(self._steps)
             step = self._steps[number]
-            is_next = number == self._next and step.is_complete()
-            if not is_next and self._reached <= number + _STEPS_AHEAD:
+            if not step.is_complete() and self._reached <= number + self._patience:
                 break
             shares = self._shares_of(number)
             if step.has_truth:
@@ -132,6 +158,6 @@ class WholeSteps:
     def _shares_of(self, number: int) -> list[tuple[str, bytes]]:
         """Return the shares sent in a step, and forget them."""
         placed = [(self._history.place(cycle)[0], cycle, told) for cycle, told in self._shares]
-        ahead = range(number + 1, self._reached + _FAR_STEPS)
+        ahead = range(number + 1, self._reached + _PATIENCE_STEPS)
         self._shares = [(cycle, told) for step, cycle, told in placed if step in ahead]
         return [told for step, _, told in placed if step == number]

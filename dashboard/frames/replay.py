@@ -7,7 +7,7 @@ from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.runtime.recording import read_recording
-from concord.runtime.whole_steps import WholeSteps
+from concord.runtime.whole_steps import WholeStep, WholeSteps
 
 
 def replayed(stage: Stage, recording: Path) -> Iterator[StepFrame]:
@@ -26,7 +26,12 @@ def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[S
     for topic, data in messages:
         if topic == "event":
             assembler.hear(data)
-        for step in steps.take(topic, data):
-            frame = assembler.frame(step)
-            if frame is not None:
-                yield frame
+        yield from _frames(assembler, steps.take(topic, data))
+    yield from _frames(assembler, steps.rest())
+
+
+def _frames(assembler: Assembler, steps: Iterable[WholeStep]) -> Iterator[StepFrame]:
+    for step in steps:
+        frame = assembler.frame(step)
+        if frame is not None:
+            yield frame

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from concord.experiments.__main__ import main
 from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
+from concord.experiments.results import near_agreement
 from concord.experiments.results.innovations.channel_test import ChannelTest
 from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
 from concord.experiments.results.innovations.of_run import channel_table, run_innovations
@@ -175,7 +176,7 @@ def test_sets_have_no_innovations():
     assert summarise(setup, trace).verdict is None
 
 
-def test_the_batched_driver_has_the_innovations_of_messages():
+def test_the_batched_driver_has_the_innovations_of_messages(monkeypatch: pytest.MonkeyPatch):
     setup = small("target-tracking", nodes=5, steps=25)
     trace = read_trace(setup, in_memory(setup))
     expected = run_innovations(setup, trace)
@@ -185,8 +186,16 @@ def test_the_batched_driver_has_the_innovations_of_messages():
         np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-10)
     assert simulate(setup, [0]).innovations is None  # kept where they are asked for
     assert "innovation" not in departures(setup, trace)
+    # Innovations follow estimates and readings; they are named where they depart alone.
     shifted = trace._replace(mean=trace.mean + 1e-4)
-    assert {"mean", "innovation"} <= set(departures(setup, shifted))
+    assert set(departures(setup, shifted)) == {"mean"}
+    histories = simulate(setup, [0], keep=OPTIONAL)
+    assert histories.innovations is not None
+    wrong = histories.innovations._replace(value=histories.innovations.value + 1e-4)
+    monkeypatch.setattr(
+        near_agreement, "simulate", lambda *_, **__: histories._replace(innovations=wrong)
+    )
+    assert set(departures(setup, trace)) == {"innovation"}
 
 
 @pytest.mark.parametrize("options", ["oscillator --nodes 4", "vehicle-network"])

@@ -95,6 +95,19 @@ def test_a_step_is_given_with_the_last_word_of_those_who_are_in():
             assert [one.number for one in given_now] == ([step] if is_last else [])
 
 
+@pytest.mark.parametrize("late", ["world", "2", "everybody but the world"])
+def test_a_link_that_is_far_behind_makes_no_hole(late: str):
+    """A page showed all nodes as dead when the environment's link was quicker than theirs."""
+    said = [(source, message) for source, mine in sources(MESSAGES).items() for _, message in mine]
+    behind = [
+        one for one in said if (one[0] == late) != (late.startswith("every") and one[0] != "world")
+    ]
+    ahead = [one for one in said if one not in behind]
+    expected = {step.number: set(step.messages) for step in steps_of(MESSAGES)}
+    found = steps_of([message for _, message in ahead + behind])
+    assert {step.number: set(step.messages) for step in found} == expected
+
+
 @pytest.mark.parametrize("lost", ["estimate/1", "measured/3", "truth"])
 def test_what_was_lost_on_its_way_holds_up_one_step_and_not_for_ever(lost: str):
     kept = [
