@@ -17,7 +17,7 @@ from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode
 
 # A bound on memory alone: in lockstep an event tells of each node that is gone.
-_PATIENCE_STEPS = 1000
+_LONGEST_WAIT_STEPS = 1000
 
 
 class WholeStep(NamedTuple):
@@ -55,10 +55,14 @@ class WholeSteps:
     """Takes the messages of a run one by one, from the first on, and gives its steps in order."""
 
     def __init__(
-        self, nodes: int, rounds: int, frame_format: FrameFormat, patience: int = _PATIENCE_STEPS
+        self,
+        nodes: int,
+        rounds: int,
+        frame_format: FrameFormat,
+        longest_wait_steps: int = _LONGEST_WAIT_STEPS,
     ) -> None:
         """A network of so many nodes that begins with so many rounds per step, on a bus with frames
-        of this format. When the plant is further than `patience` steps, nobody is waited for."""
+        of this format; a step is given up when the plant is `longest_wait_steps` further."""
         self._cycle_of = frame_format.cycle_of
         self.nodes = nodes
         self._everybody = frozenset(range(nodes))
@@ -67,7 +71,7 @@ class WholeSteps:
         # By cycle: which step that belongs to may be told a little later.
         self._shares: list[tuple[int, tuple[str, bytes]]] = []
         self._next, self._reached = 0, 0
-        self._patience = patience
+        self._longest_wait_steps = longest_wait_steps
         self._latest = [-1] * nodes
 
     def take(self, topic: str, data: bytes) -> list[WholeStep]:
@@ -82,7 +86,7 @@ class WholeSteps:
             return []
         number = self._step_of(kind, data)
         # Only the plant's truth may be further ahead than the messages under way.
-        soon = kind == "truth" or (number or 0) <= self._reached + _PATIENCE_STEPS
+        soon = kind == "truth" or (number or 0) <= self._reached + _LONGEST_WAIT_STEPS
         if number is None or number < self._next or not soon:
             return []
         step = self._steps.get(number)
@@ -106,7 +110,7 @@ class WholeSteps:
 
     def rest(self) -> list[WholeStep]:
         """Nothing more will be said: the steps that were waited for."""
-        self._patience = -1
+        self._longest_wait_steps = -1
         return self._over()
 
     def _begun(self, number: int) -> _Step:
@@ -146,7 +150,7 @@ class WholeSteps:
         while self._steps:
             number = min(self._steps)
             step = self._steps[number]
-            if not step.is_complete() and self._reached <= number + self._patience:
+            if not step.is_complete() and self._reached <= number + self._longest_wait_steps:
                 break
             shares = self._shares_of(number)
             if step.has_truth:
@@ -158,6 +162,6 @@ class WholeSteps:
     def _shares_of(self, number: int) -> list[tuple[str, bytes]]:
         """Return the shares sent in a step, and forget them."""
         placed = [(self._history.place(cycle)[0], cycle, told) for cycle, told in self._shares]
-        ahead = range(number + 1, self._reached + _PATIENCE_STEPS)
+        ahead = range(number + 1, self._reached + _LONGEST_WAIT_STEPS)
         self._shares = [(cycle, told) for step, cycle, told in placed if step in ahead]
         return [told for step, _, told in placed if step == number]

@@ -5,6 +5,8 @@ import numpy as np
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 
 BATCHES = 10
+MARGIN = 1.1
+"""Least ratio of ANEES to 1, or of 1 to it, that is called over- or underconfident."""
 # Beyond this ratio the error of the filter that hears everything is rounding.
 _EXACT = 1e6
 LEGEND = (
@@ -39,11 +41,17 @@ def consistency_in_words(anees: Interval) -> str:
     if np.isnan(low):
         return f"too few scored steps to judge its consistency (ANEES {value:.3g})"
     shown = f"(ANEES {value:.3g}, 95 %: {low:.2g} to {high:.2g})"
-    if low > 1:
-        return f"overconfident {shown}"
-    if high < 1:
-        return f"underconfident {shown}"
-    return f"neither over- nor underconfident {shown}"
+    return f"{beyond(anees) or 'neither over- nor underconfident'} {shown}"
+
+
+def beyond(found: Interval) -> str:
+    """ "overconfident" or "underconfident" of a figure that is 1 where estimates claim what they
+    know; empty where its interval holds 1, or where it departs by less than `MARGIN`."""
+    if found.low > 1 and found.value > MARGIN:
+        return "overconfident"
+    if found.high < 1 and found.value < 1 / MARGIN:
+        return "underconfident"
+    return ""
 
 
 def worst_in_words(ratio: float) -> str:

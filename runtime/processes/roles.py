@@ -34,7 +34,7 @@ from concord.scenarios.preparation import complete_settings, fingerprint
 from concord.scenarios.script import script_of
 
 _PROGRESS_PERIOD_S = 0.05
-_REAL_TIME_PATIENCE_STEPS = 8
+_LONGEST_WAIT_STEPS = 8
 
 
 def be_router(endpoint: str) -> None:
@@ -57,8 +57,8 @@ def be_recorder(
         frames = frame_format(scenario)
         recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s, frames)
         # In real time a node that hangs must not hold up a page.
-        patience = {} if job.tempo is None else {"patience": _REAL_TIME_PATIENCE_STEPS}
-        steps = WholeSteps(scenario.nodes, scenario.rounds, frames, **patience)
+        wait = {} if job.tempo is None else {"longest_wait_steps": _LONGEST_WAIT_STEPS}
+        steps = WholeSteps(scenario.nodes, scenario.rounds, frames, **wait)
         _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder, steps))
     except NotWritten as error:
         tell(Happened("failed", detail=str(error)))

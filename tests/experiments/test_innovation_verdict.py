@@ -18,6 +18,7 @@ from concord.experiments.results.innovations.diagnosis import Cause, Channel, Di
 from concord.experiments.results.innovations.of_run import channel_table, run_innovations
 from concord.experiments.results.innovations.sentence import innovation_verdict
 from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.run_verdict import consistency_in_words
 from concord.experiments.results.summary import Figures, lines, summarise
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
@@ -42,7 +43,7 @@ OFF = ChannelTest(
 
 def said(cause: Cause, others: int = 0, name: str = "oscillator", **options) -> str:
     diagnosis = Diagnosis(cause, YAW, OFF, others)
-    return innovation_verdict(scenario(name, **options), diagnosis, FITTING, FITTING)
+    return innovation_verdict(scenario(name, **options), diagnosis, FITTING, FITTING, FITTING)
 
 
 @pytest.mark.parametrize(
@@ -96,20 +97,33 @@ def test_other_channels_are_counted():
     ],
 )
 def test_estimates_are_judged_where_sensors_and_models_fit(nis, anees, words: str):
-    assert words in innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees)
+    found = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees, FITTING)
+    assert words in found
+
+
+def test_the_last_line_does_not_clear_what_the_first_accuses():
+    """A run began with "overconfident (ANEES 1.66, 95 %: 1.1 to 2.6)", and ended "consistent"."""
+    usual, strict = Interval(1.66, 1.1, 2.6), Interval(1.66, 0.9, 3.1)
+    assert "overconfident" in consistency_in_words(usual)
+    said = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), FITTING, strict, usual)
+    assert said == (
+        "undecided: models and sensors fit the readings, but ANEES 1.66 is above 1 at 95 % and not "
+        "at 99.5 %; use more --steps or --runs"
+    )
+    assert consistency_in_words(Interval(1.05, 1.01, 1.09)).startswith("neither")
 
 
 def test_an_offset_beside_another_cause_is_named_too():
     noisy = Channel(0, 0, 0, "speed", "m/s")
     diagnosis = Diagnosis(Cause.NOISE_TOO_SMALL, noisy, OFF, 1, (YAW, OFF))
-    sentence = innovation_verdict(scenario("oscillator"), diagnosis, FITTING, FITTING)
+    sentence = innovation_verdict(scenario("oscillator"), diagnosis, FITTING, FITTING, FITTING)
     assert "NIS of node 0's speed" in sentence
     assert sentence.endswith("besides, node 2's yaw rate reads 0.02 rad/s (95 %: 0.018 to 0.022) "
                              "off its prediction")  # fmt: skip
 
 
 def test_too_few_readings_are_no_verdict():
-    few = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.UNKNOWN), UNKNOWN, UNKNOWN)
+    few = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.UNKNOWN), *[UNKNOWN] * 3)
     assert "too few readings to judge" in few
 
 
@@ -166,7 +180,8 @@ def test_json_has_the_verdict_and_its_figures(tmp_path: Path, capsys: pytest.Cap
 def test_the_last_line_of_a_run_is_its_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     main(f"run --scenario oscillator --nodes 4 --steps 60 --out {tmp_path}/run".split())
     printed = " ".join(capsys.readouterr().out.split())
-    assert printed.rpartition("verdict: ")[2].endswith("where 1 is right)")
+    last = printed.rpartition("verdict: ")[2]
+    assert last.startswith(("consistent: models", "undecided: models"))
 
 
 def test_sets_have_no_innovations():

@@ -83,8 +83,9 @@ def judged(
     """
     own, heard = (_where(counted, accepted(setup, one)) for one in (own, heard))
     figures, diagnosis = innovation_figures(setup, own, heard)
-    nis = _interval_of(nis_per_step(own))
-    return figures, innovation_verdict(setup.scenario, diagnosis, nis, _interval_of(nees))
+    nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
+    suspicion = _interval_of(nees, 0.95)
+    return figures, innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion)
 
 
 def judged_run(
@@ -106,11 +107,11 @@ def _where(counted: np.ndarray, innovations: Innovations) -> Innovations:
     return Innovations(*kept)
 
 
-def _interval_of(per_step: np.ndarray) -> Interval:
+def _interval_of(per_step: np.ndarray, confidence: float) -> Interval:
     """The interval of a mean over the runs and steps (R, S), over batches of steps for one run."""
     if len(per_step) == 1:
-        return anees_interval(per_step[0], ESTIMATES_CONFIDENCE)
-    return positive_mean_t(mean_of_known(per_step, (1,)), ESTIMATES_CONFIDENCE)
+        return anees_interval(per_step[0], confidence)
+    return positive_mean_t(mean_of_known(per_step, (1,)), confidence)
 
 
 def nis_columns(figures: NisFigures) -> tuple[str, str, str]:

@@ -10,6 +10,7 @@ from concord.experiments.results.innovations.diagnosis import (
     Channel,
     Diagnosis,
 )
+from concord.experiments.results.run_verdict import beyond
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.plants import VehicleNetwork
@@ -17,8 +18,6 @@ from concord.scenarios.types.plants import VehicleNetwork
 ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
 """Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but
 `FALSE_ALARMS` of the runs that are consistent."""
-ESTIMATES_MARGIN = 1.1
-"""Least ratio either way by which estimates are called over- or underconfident."""
 
 _ALL_ALIKE = {
     Cause.ALL_NOISE_TOO_SMALL: (
@@ -54,12 +53,13 @@ _OF_ONE = {
 
 
 def innovation_verdict(
-    scenario: Scenario, diagnosis: Diagnosis, nis: Interval, anees: Interval
+    scenario: Scenario, diagnosis: Diagnosis, nis: Interval, anees: Interval, suspicion: Interval
 ) -> str:
     """The verdict, computed from the diagnosis and from the nodes' own figures.
 
     `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
-    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known.
+    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
+    95 % interval that the run's figures show.
     """
     if diagnosis.cause is Cause.UNKNOWN:
         return (
@@ -67,7 +67,7 @@ def innovation_verdict(
             "steps, so use more --steps"
         )
     if diagnosis.cause is Cause.NONE:
-        return _of_estimates(scenario, nis, anees)
+        return _of_estimates(scenario, nis, anees, suspicion)
     assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
     test = diagnosis.test
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
@@ -101,16 +101,20 @@ def _lead(cause: Cause, test: ChannelTest) -> str:
     return "biased" if cause is Cause.OFFSET else "coloured"
 
 
-def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval) -> str:
+def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval, suspicion: Interval) -> str:
     fits = "models and sensors fit the readings"
     for name, found in (("ANEES", anees), ("NIS", nis)):
         shown = f"{name} {_short(found.value)} where 1 is right"
-        if found.low > 1 and found.value > ESTIMATES_MARGIN:
-            return f"overconfident: {fits}, but rule {scenario.rule.name} claims too much ({shown})"
-        if found.high < 1 and found.value < 1 / ESTIMATES_MARGIN:
-            return (
-                f"underconfident: {fits}, but rule {scenario.rule.name} claims too little ({shown})"
-            )
+        if confidence := beyond(found):
+            claims = "too much" if confidence == "overconfident" else "too little"
+            return f"{confidence}: {fits}, but rule {scenario.rule.name} claims {claims} ({shown})"
+    doubt = beyond(suspicion)
+    if doubt:
+        side = "above" if doubt == "overconfident" else "below"
+        return (
+            f"undecided: {fits}, but ANEES {_short(anees.value)} is {side} 1 at 95 % and not at "
+            f"{100 * ESTIMATES_CONFIDENCE:g} %; use more --steps or --runs"
+        )
     figures = (("NIS", nis), ("ANEES", anees))
     judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
     said = f"consistent: {fits}"
