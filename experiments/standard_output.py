@@ -45,6 +45,11 @@ def standard_output() -> Iterator[None]:
     try:
         try:
             yield
+        except SystemExit as ended:
+            # rich ends a command whose reader has gone, with exit code 1.
+            if isinstance(ended.__context__, BrokenPipeError):
+                sys.exit(BROKEN_PIPE)
+            raise
         finally:
             sys.stdout.flush()
     except OSError as error:

@@ -45,7 +45,7 @@ from concord.scenarios.tempo import tempo_of
 class SetupOptions:
     """Setup file to write."""
 
-    out: Path
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The file to write; it must not exist."""
     driver: Literal["processes", "realtime"] = "processes"
     """processes: in lockstep; realtime: by the clock."""
@@ -144,7 +144,7 @@ class HostOptions:
 class EnvironmentOptions(HostOptions):
     """Folder for the results."""
 
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; runs/<name of the run> when left out. It must not exist."""
     json: bool = False
     """Print one JSON object instead of a table."""

@@ -47,7 +47,7 @@ class ReproduceOptions:
     FlexRay protocol. adlukf: Wang et al., adaptive dual-layer UKF. liu2021: Liu et al., set
     membership over a FlexRay network. labelled: the project's own study of labelled measurements
     beside consensus on beliefs."""
-    out: Path
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the report and the pictures. It must not exist."""
     seed: int | None = None
     """Seed of all noise; that of the project's published figures if left out."""

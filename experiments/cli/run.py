@@ -56,7 +56,7 @@ class RunOptions:
     """Number of runs, from --run on, for --driver batched."""
     covariances: bool = False
     """Keep full covariances of many runs, and not their traces alone."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
     """First of consecutive loopback ports for --driver processes or realtime; free ones when left

@@ -116,7 +116,7 @@ def show(
     source: Source = "",
     *,
     options: Options,
-    out: Path,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     layout: Literal["auto", "places", "spring", "circle"] = "auto",
     json: bool = False,
 ) -> None:

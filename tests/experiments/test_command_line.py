@@ -213,7 +213,7 @@ def test_every_character_has_a_plain_form():
     assert text.read() == "3 +- 2 m/s^2 <= sqrt Pi, beta = 5 us ., Cramer +-+|"
 
 
-@pytest.mark.parametrize("arguments", [["list", "--json"], ["--help"]])
+@pytest.mark.parametrize("arguments", [["list"], ["list", "--json"], ["--help"]])
 def test_a_reader_that_has_gone_ends_a_command_quietly(arguments: list[str]):
     reader, writer = os.pipe()
     os.close(reader)
