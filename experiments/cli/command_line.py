@@ -1,8 +1,10 @@
 """The command line: every `concord` command by its name."""
 
+import ast
 import signal
 import sys
 from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, Literal
 
@@ -118,6 +120,10 @@ def _commands(asked: list[str]) -> SubcommandApp:
         if asked and asked[0] not in everything and not asked[0].startswith("-"):
             raise unknown_name("command", asked[0], everything)
     commands = SubcommandApp()
+    if asked in ([], ["-h"], ["--help"]):
+        for name, (file, function) in everything.items():
+            commands.command(_nothing, name=name, help=_summary(file, function))
+        return commands
     for name in [name for name in asked if name in everything] or everything:
         file, function = everything[name]
         module = import_module(f"concord.experiments.cli.{file}")
@@ -127,6 +133,22 @@ def _commands(asked: list[str]) -> SubcommandApp:
         else:
             commands.command(command, name=name)
     return commands
+
+
+def _nothing() -> None:
+    """Stand for a command of which only the summary is asked for."""
+
+
+def _summary(file: str, function: str) -> str:
+    """Return what a command is for, from its file, which is not loaded."""
+    tree = ast.parse(Path(__file__).with_name(f"{file}.py").read_text(encoding="utf-8"))
+    for statement in tree.body:
+        match statement:
+            case ast.Assign(targets=[ast.Name("SUMMARY")], value=ast.Constant(str(summary))):
+                return summary
+            case ast.FunctionDef(name) if name == function:
+                return (ast.get_docstring(statement) or "").partition("\n\n")[0]
+    raise AssertionError(f"{file}.py has no {function}")
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

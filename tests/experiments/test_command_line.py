@@ -174,6 +174,10 @@ def test_a_command_loads_nothing_of_other_commands(name: str):
     assert not loaded_by(name, "--help") & SLOW_TO_LOAD
 
 
+def test_the_summaries_of_all_commands_are_told_without_loading_one():
+    assert not loaded_by("--help") & (SLOW_TO_LOAD | {"msgspec", "zenoh"})
+
+
 def test_the_measure_of_loading_sees_what_is_loaded():
     assert {"scipy", "networkx"} <= loaded_by("topology", "--help")
 
