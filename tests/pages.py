@@ -13,7 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
 # Commands that a reader has already run, and the `make` targets that run the tests.
 SKIPPED = ("make", "git clone", "cd ", ". .venv")
-TIMEOUT_S = 120
+# Only a command that hangs takes so long, on a loaded machine too.
+TIMEOUT_S = 1800
 
 
 def blocks(text: str, language: str) -> list[str]:

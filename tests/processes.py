@@ -74,11 +74,11 @@ class Family:
 
     def await_line(self, part: str, seconds: float = PATIENCE_S) -> str:
         """Read standard error up to a line that has this in it."""
-        deadline = time.monotonic() + seconds
+        began_s = time.monotonic()
         stream = self.process.stderr
         assert stream is not None
         said = []
-        while time.monotonic() < deadline and (line := stream.readline()):
+        while time.monotonic() - began_s < seconds * slowdown() and (line := stream.readline()):
             said.append(line)
             if part in line:
                 self._first_line_s = self._first_line_s or time.monotonic() - self._began_s
@@ -87,7 +87,7 @@ class Family:
 
     def end(self, seconds: float = 3.0) -> tuple[int, str, str]:
         """Wait for the command: exit code, standard output and standard error."""
-        out, err = self.process.communicate(timeout=seconds)
+        out, err = self.process.communicate(timeout=seconds * slowdown())
         return self.process.returncode, out, err
 
     def kill_all(self) -> None:
@@ -112,11 +112,24 @@ def family(command: Sequence[str], folder: Path, interactive: bool = False) -> I
                 stream.close()
 
 
+def slowdown() -> float:
+    """How many times longer than on an idle machine something may take now.
+
+    It is twice the number of threads for each processor: of those that run, or that ran in the
+    last minute.
+    """
+    in_the_last_minute, *_, running, _ = (
+        (PROC / "loadavg").read_text().replace("/", " ").split()[:5]
+    )
+    threads = max(float(in_the_last_minute), float(running))
+    return max(1.0, 2 * threads / (os.cpu_count() or 1))
+
+
 def holds_within(seconds: float, holds: Callable[[], bool]) -> bool:
-    """Whether something becomes true in time."""
-    deadline = time.monotonic() + seconds
+    """Whether something becomes true in so many seconds of an idle machine."""
+    began_s = time.monotonic()
     while not holds():
-        if time.monotonic() > deadline:
+        if time.monotonic() - began_s > seconds * slowdown():
             return False
         time.sleep(0.01)
     return True

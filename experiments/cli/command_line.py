@@ -122,7 +122,7 @@ def _commands(asked: list[str]) -> SubcommandApp:
     commands = SubcommandApp()
     if asked in ([], ["-h"], ["--help"]):
         for name, (file, function) in everything.items():
-            commands.command(_nothing, name=name, help=_summary(file, function))
+            commands.command(name=name, help=_summary(file, function))(_nothing)
         return commands
     for name in [name for name in asked if name in everything] or everything:
         file, function = everything[name]

@@ -68,12 +68,20 @@ def test_nothing_is_lost_in_a_run_that_loses_nothing():
 
 
 def test_messages_of_a_step_may_come_in_any_order():
+    """A share belongs to the step that its sender estimates next."""
     order = random.Random(3)
     by_step: dict[int, list] = {}
-    step = 0
+    under_way: dict[str, int] = {}
+    latest = 0
     for topic, data in MESSAGES:
-        step = max(step, step_of(topic, data) or 0)
-        by_step.setdefault(step, []).append((topic, data))
+        kind, _, name = topic.partition("/")
+        step = step_of(topic, data)
+        if kind == "share":
+            step = under_way.get(name, 0)
+        elif kind == "estimate" and step is not None:
+            under_way[name] = step + 1
+        latest = max(latest, step or 0)
+        by_step.setdefault(latest if step is None else step, []).append((topic, data))
     shuffled = []
     for _, part in sorted(by_step.items()):
         estimates = [m for m in part if m[0].startswith("estimate/")]

@@ -174,7 +174,7 @@ def test_this_machine_in_a_fresh_process(tmp_path: Path):
         [sys.executable, "-m", "concord.experiments", "doctor", "--nodes", "2", "--json"],
         cwd=Path(__file__).parents[2],
         capture_output=True,
-        timeout=60,
+        timeout=600,
     )
     said = msgspec.json.decode(done.stdout)
     assert said["healthy"] is (done.returncode == 0)
