@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from concord.plants.recorded.columns import UNITS
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.drive_log import UNITS, ColumnMap, columns_from_toml
+from concord.plants.vehicle.drive_log import ColumnMap, columns_from_toml
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import NODES
 from concord.plants.vehicle.parameters import car_from_toml

@@ -26,7 +26,7 @@ from concord.plants.vehicle.model import linear_tyre, tanh_tyre
 from concord.plants.vehicle.parameters import car_to_toml
 from concord.plants.vehicle.sensors import TEST_CAR, logged
 from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
-from concord.plants.vehicle.tyre_identification import Identified, identify
+from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified, identify
 from concord.runtime.disk import writing
 from concord.topology.names import unknown_name
 
@@ -39,7 +39,7 @@ class IdentifyOptions:
     """Which drive, which tyre law, and where to put the car that comes of it."""
 
     data: Path | None = None
-    """Folder with drive.csv, columns.toml and car.toml (docs/vehicle.md says what is in them)."""
+    """Folder with columns.toml, car.toml and the files of the log (docs/vehicle.md)."""
     manoeuvre: str | None = None
     """Instead of a log: a simulated drive, e.g. ramp-steer."""
     car: str = "bmw-320i"
@@ -113,7 +113,7 @@ def _drive(options: IdentifyOptions) -> LoggedDrive:
                 f"--log {options.log}: writes a simulated drive, but --data {options.data} is a "
                 "log already; leave --log out, or simulate with --manoeuvre"
             )
-        return read_folder(options.data)
+        return read_folder(options.data, MODEL_STEP_S)
     assert options.manoeuvre is not None, "one of the two was given"
     if options.manoeuvre not in MANOEUVRES:
         raise unknown_name("manoeuvre", options.manoeuvre, MANOEUVRES)
@@ -128,7 +128,7 @@ def _drive(options: IdentifyOptions) -> LoggedDrive:
     noisy = logged(drive, TEST_CAR, np.random.default_rng(options.seed))
     options.log.mkdir(parents=True)
     write_drive(options.log, noisy, data_sheet(true_car))
-    return read_folder(options.log)
+    return read_folder(options.log, MODEL_STEP_S)
 
 
 def _require_new(option: str, path: Path) -> None:

@@ -120,7 +120,7 @@ def data_folder(folder: Path) -> Finding:
     readers = (
         ("Barcodes.dat", "a MRCLAM recording", mrclam_files.read_recording),
         (intel_lab.LOCATIONS, "the Intel lab", intel_lab.intel_lab),
-        (drive_log.DRIVE, "a drive", drive_log.read_folder),
+        (drive_log.COLUMNS, "a drive", drive_log.read_folder),
     )
     name = f"data {folder}"
     for mark, what, read in readers:

@@ -169,7 +169,8 @@ class DrivenOnce:
     Attributes:
         time_step_s: of the arrays.
         truth: (steps, 6), NaN where it is unknown.
-        exact: (steps, 4, 1, 3), what the sensors would deliver without error, NaN for nothing.
+        exact: (steps, 4, r, 3), up to r readings of a step as the sensors would deliver them
+            without error, NaN for nothing.
         prior_mean: (6,), what the nodes start from, less the error of a run.
         errors: of each node's channels, on top of `exact`.
         prior_error: whether the start errs by `PRIOR_STD`; a log knows its own start.
@@ -208,7 +209,7 @@ class DrivenOnce:
                 f"{steps} steps, but the drive has {self.steps} of {1e3 * self.time_step_s:g} ms; "
                 f"ask for {self.steps} or fewer"
             )
-        measurement = np.zeros((steps, self.nodes, 1, CHANNELS))
+        measurement = np.zeros((steps, *self.exact.shape[1:]))
         for node, channels in enumerate(self.errors):
             generator = generator_for("measurement", node)
             for channel, error in enumerate(channels):
@@ -231,7 +232,7 @@ class DrivenOnce:
         return np.broadcast_to(after, state.shape)
 
     def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
-        """Return the sensors' readings at a step for noise (..., 4, 1, 3)."""
+        """Return the sensors' readings at a step for noise (..., 4, r, 3)."""
         return self.exact[step] + self._bias + self._std[step] * noise
 
     @cached_property
@@ -273,23 +274,6 @@ def simulated(
     exact[due, 3, 0, 0] = over_ground[due]
     exact[due, 3, 0, 1] = (drive.heading_rad + drive.side_slip_rad)[due]
     return DrivenOnce(drive.time_step_s, truth, exact, truth[0], errors)
-
-
-def replayed(drive: Drive, car: Car, time_step_s: float) -> DrivenOnce:
-    """The plant of a logged drive: its readings at the step next to each sample, its noise its own.
-
-    The truth is what the log says of the side slip, and NaN otherwise; no satellites.
-    """
-    steps = int((drive.steps - 1) * drive.time_step_s / time_step_s) + 1
-    at = np.minimum(np.round(drive.time_s / time_step_s).astype(int), steps - 1)
-    exact = np.full((steps, len(NODES), 1, CHANNELS), np.nan)
-    exact[at] = _readings(drive, car)
-    truth = np.full((steps, len(STATE_NAMES)), np.nan)
-    truth[at, SIDE_SLIP] = drive.side_slip_rad
-    start = np.array([drive.yaw_rate_rad_s[0], 0.0, drive.speed_m_s[0], 0.0, 0.0, 0.0])
-    start[STEERING] = drive.steering_rad[0]
-    quiet = tuple(tuple(SensorError(0.0) for _ in channels) for channels in ERRORS)
-    return DrivenOnce(time_step_s, truth, exact, np.nan_to_num(start), quiet, prior_error=False)
 
 
 def _readings(drive: Drive, car: Car) -> np.ndarray:

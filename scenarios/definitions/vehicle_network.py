@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.drive_log import read_car, read_folder
+from concord.plants.vehicle.drive_log import read_car, read_log
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
@@ -21,11 +21,11 @@ from concord.plants.vehicle.network import (
     CarSensor,
     DrivenCar,
     DrivenOnce,
-    replayed,
     sensor,
     simulated,
 )
 from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.replay import replayed
 from concord.plants.vehicle.sensors import SensorError
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
@@ -62,7 +62,7 @@ standard deviation."""
 
 @cache
 def _logged(data: str) -> DrivenOnce:
-    return replayed(*read_folder(data), TIME_STEP_S)
+    return replayed(*read_log(data), TIME_STEP_S)
 
 
 @cache

@@ -4,15 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import (
     columns_from_toml,
-    read_drive,
     read_folder,
+    read_log,
     write_drive,
 )
-from concord.plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.network import HEADING
+from concord.plants.vehicle.parameters import BMW_320I, car_to_toml
+from concord.plants.vehicle.replay import replayed
 
 MAP = """
 time = { column = "t", unit = "ms" }
@@ -25,14 +28,15 @@ lateral_acceleration = { column = "ay", unit = "g", offset = 0.5 }
 HEAD = "t,yaw,wheel angle,rl,rr,ay,comment\n"
 
 
-def log(tmp_path: Path, rows: str, head: str = HEAD) -> Path:
-    file = tmp_path / "drive.csv"
-    file.write_text(head + rows)
-    return file
+def log(folder: Path, rows: str, head: str = HEAD, ratio: float = 1.0) -> Path:
+    (folder / "columns.toml").write_text(MAP)
+    (folder / "car.toml").write_text(car_to_toml(replace(BMW_320I, steering_ratio=ratio)))
+    (folder / "drive.csv").write_text(head + rows)
+    return folder
 
 
-def read(tmp_path: Path, rows: str, ratio: float = 1.0) -> Drive:
-    return read_drive(log(tmp_path, rows), columns_from_toml(MAP), ratio)
+def read(folder: Path, rows: str, ratio: float = 1.0) -> Drive:
+    return read_folder(log(folder, rows, ratio=ratio)).drive
 
 
 def random_drive() -> Drive:
@@ -64,16 +68,67 @@ def test_units_signs_and_offsets_are_applied(tmp_path: Path):
     assert np.isnan(drive.wheel_speed_m_s[:, :2]).all()
 
 
-def test_uneven_times_are_interpolated_and_gaps_are_not(tmp_path: Path):
+def test_inputs_are_interpolated_up_to_gaps_and_readings_count_once(tmp_path: Path):
     times = [0, 10, 20, 29, 41, 50, 60, 200, 210, 220]
-    rows = "".join(f"{t},{2 * t},0,36,36,0,\n" for t in times)
-    drive = read(tmp_path, rows)
+    drive = read(tmp_path, "".join(f"{t},{2 * t},{3 * t},36,36,0,\n" for t in times))
     assert drive.steps == 23
-    known = np.isfinite(drive.yaw_rate_rad_s)
-    expected = -np.radians(2 * 10.0 * np.arange(23))
-    np.testing.assert_allclose(drive.yaw_rate_rad_s[known], expected[known], atol=1e-12)
-    assert (~known[7:20]).all()
-    assert known[[0, 3, 6, 20, 22]].all()
+    grid = 10.0 * np.arange(23)
+    known = np.isfinite(drive.steering_rad)
+    np.testing.assert_allclose(drive.steering_rad[known], np.radians(3 * grid[known]), atol=1e-12)
+    assert (~known[7:20]).all() and known[:7].all() and known[20:].all()
+    came = np.isfinite(drive.yaw_rate_rad_s)
+    np.testing.assert_allclose(drive.yaw_rate_rad_s[came], -np.radians(2.0 * np.array(times)))
+    np.testing.assert_array_equal(np.flatnonzero(came), [0, 1, 2, 3, 4, 5, 6, 20, 21, 22])
+
+
+def test_a_gap_is_one_of_its_own_channel(tmp_path: Path):
+    """Wheels at a tenth of the rate of the yaw rate have no gap: it was 12 % of them once."""
+    rows = "".join(
+        f"{t},{t},{'' if t % 50 else 7},{'' if t % 50 else 36},{'' if t % 50 else 36},,\n"
+        for t in range(0, 1001, 5)
+    )
+    drive = read(tmp_path, rows)
+    assert drive.time_step_s == pytest.approx(0.005)
+    np.testing.assert_allclose(drive.steering_rad, np.radians(7.0))
+    np.testing.assert_allclose(drive.speed_m_s, 10.0)
+
+
+def test_at_shorter_steps_inputs_go_on_and_readings_still_count_once(tmp_path: Path):
+    rows = "".join(f"{t},{2 * t},{3 * t},36,36,,\n" for t in range(0, 200, 10))
+    drive = read_folder(log(tmp_path, rows), longest_step_s=0.005).drive
+    assert drive.time_step_s == 0.005 and drive.steps == 39
+    assert np.isfinite(drive.steering_rad).all()
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.isfinite(drive.yaw_rate_rad_s)), range(0, 39, 2)
+    )
+
+
+def test_lines_out_of_order_are_readings_at_their_times(tmp_path: Path):
+    rows = [f"{t},{2 * t},{3 * t},36,36,0,\n" for t in range(0, 100, 10)]
+    expected = read(tmp_path, "".join(rows))
+    rows[3], rows[6] = rows[6], rows[3]
+    for came, ought in zip(read(tmp_path, "".join(rows)), expected, strict=True):
+        np.testing.assert_array_equal(came, ought)
+
+
+def test_a_delay_is_taken_off_the_stamps(tmp_path: Path):
+    folder = log(tmp_path, "0,1,0,36,36,0,\n10,1,0,36,36,0,\n")
+    late = MAP.replace('unit = "deg/s",', 'unit = "deg/s", delay_s = 0.004,')
+    (folder / "columns.toml").write_text(late)
+    channels = read_log(folder).channels
+    np.testing.assert_allclose(channels["yaw_rate"].stamps_s, [-0.004, 0.006], atol=1e-15)
+    np.testing.assert_allclose(channels["steering"].stamps_s, [0.0, 0.01])
+
+
+def test_satellites_of_a_log_are_a_sensor(tmp_path: Path):
+    folder = log(tmp_path, "0,1,0,36,36,0,90\n10,1,0,36,36,0,\n", head=HEAD)
+    more = MAP + 'course = { column = "comment", unit = "deg", scale = -1.0 }\n'
+    (folder / "columns.toml").write_text(more)
+    channels, car = read_log(folder)
+    plant = replayed(channels, car, 0.005)
+    np.testing.assert_allclose(plant.exact[:, 3, 0, 1], [-np.pi / 2, np.nan, np.nan])
+    _, mean, _ = plant.initial(np.zeros(6))
+    assert mean[HEADING] == pytest.approx(-np.pi / 2)
 
 
 def test_an_empty_field_is_not_known(tmp_path: Path):
@@ -85,12 +140,12 @@ def test_an_empty_field_is_not_known(tmp_path: Path):
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
-        ("0,1,0,36,36,0,\n10,x,0,36,36,0,\n", r"drive\.csv:3: field 2 .* not a number"),
-        ("0,1,0,36,36,0,\n10,1\n", r"drive\.csv:3"),
-        ("0,1,0,36,36,0,\n", "at least two times"),
+        ("0,1,0,36,36,0,\n10,x,0,36,36,0,\n", r"drive\.csv: line 3: field 2 .* not a number"),
+        ("0,1,0,36,36,0,\n10,1\n", r"drive\.csv: line 3"),
+        ("0,1,0,36,36,0,\n", "yaw_rate has fewer than two readings"),
         ("0,1,0,36,36,0,\n0,1,0,36,36,0,\n", "drop repeated"),
-        ("10,1,0,36,36,0,\n0,1,0,36,36,0,\n", "sort the lines"),
-        ("", "at least two times"),
+        (",1,0,36,36,0,\n0,1,0,36,36,0,\n", "'yaw' for yaw_rate: reading 1 has no time"),
+        ("", "yaw_rate has fewer than two readings"),
     ],
 )
 def test_a_bad_line_is_named(tmp_path: Path, rows: str, says: str):
@@ -99,24 +154,34 @@ def test_a_bad_line_is_named(tmp_path: Path, rows: str, says: str):
 
 
 def test_a_missing_column_is_named_with_those_there_are(tmp_path: Path):
-    file = log(tmp_path, "0,0\n", head="t,yaw\n")
     with pytest.raises(ValueError, match="no column 'wheel angle' for steering_wheel"):
-        read_drive(file, columns_from_toml(MAP))
+        read_folder(log(tmp_path, "0,0\n", head="t,yaw\n"))
+
+
+def test_a_column_without_a_time_is_refused(tmp_path: Path):
+    folder = log(tmp_path, "0,1,0,36,36,0,\n10,1,0,36,36,0,\n")
+    (folder / "columns.toml").write_text("".join(MAP.splitlines(keepends=True)[2:]))
+    with pytest.raises(ValueError, match="no time for yaw_rate; name the column of its stamps"):
+        read_folder(folder)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path):
+    folder = log(tmp_path, "0,1,0,36,36,0,\n10,1,0,36,36,0,\n")
+    (folder / "columns.toml").write_text('file = "drive.mat"\n' + MAP)
+    with pytest.raises(ValueError, match=r"drive\.mat: a log is read from files that end in \.csv"):
+        read_folder(folder)
 
 
 def test_what_spreadsheets_write_is_read_or_named(tmp_path: Path):
     row = "0,1,0,36,36,0,\n10,1,0,36,36,0,\n"
-    file = log(tmp_path, row, head="\ufeff" + HEAD)
-    assert read_drive(file, columns_from_toml(MAP)).steps == 2
+    assert read_folder(log(tmp_path, row, head="\ufeff" + HEAD)).drive.steps == 2
     with pytest.raises(ValueError, match="semicolons or tabs"):
-        read_drive(
-            log(tmp_path, row.replace(",", ";"), HEAD.replace(",", ";")), columns_from_toml(MAP)
-        )
-    file.write_bytes((HEAD + "0,1,0,36,36,0,\xe9\n").encode("latin-1"))
+        read_folder(log(tmp_path, row.replace(",", ";"), HEAD.replace(",", ";")))
+    (tmp_path / "drive.csv").write_bytes((HEAD + "0,1,0,36,36,0,\xe9\n").encode("latin-1"))
     with pytest.raises(ValueError, match=r"drive\.csv: byte \d+ is not UTF-8"):
-        read_drive(file, columns_from_toml(MAP))
+        read_folder(tmp_path)
     with pytest.raises(ValueError, match="the file is empty"):
-        read_drive(log(tmp_path, "", head=""), columns_from_toml(MAP))
+        read_folder(log(tmp_path, "", head=""))
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,12 @@
 """The car as a network: what its nodes believe of their sensors, and a drive replayed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive_log import read_log, write_drive
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
     ACCELERATION,
@@ -18,11 +21,11 @@ from concord.plants.vehicle.network import (
     STEERING,
     YAW_RATE,
     DrivenCar,
-    replayed,
     sensor,
     simulated,
 )
 from concord.plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.replay import replayed
 from concord.plants.vehicle.sensors import SensorError
 
 MODEL = single_track(BMW_320I, tanh_tyre, 0.005, np.diag([1e-5, 1e-7, 1e-7]))
@@ -140,9 +143,10 @@ def test_the_start_errs_as_the_prior_says():
     np.testing.assert_allclose(np.sqrt(np.diag(cov)), PRIOR_STD)
 
 
-def test_a_log_is_replayed_at_its_own_times_with_its_own_noise():
+def test_a_log_is_replayed_at_its_own_times_with_its_own_noise(tmp_path: Path):
     drive = model_drive(50, step_s=0.02)
-    plant = replayed(drive, BMW_320I, 0.005)
+    write_drive(tmp_path, drive, BMW_320I)
+    plant = replayed(*read_log(tmp_path), 0.005)
     assert plant.steps == 197
     came = np.isfinite(plant.exact[:, 1, 0, 0])
     np.testing.assert_array_equal(np.flatnonzero(came), np.arange(0, 197, 4))

@@ -1,0 +1,119 @@
+"""Channels of a log: every reading keeps its own stamp, and a step takes it once.
+
+A reading belongs to the step whose sampling interval holds its stamp, from half a step before the
+step to half a step after it. The value is not interpolated. A quantity that changes by d a second
+is therefore off by at most d T / 2 at steps T apart, and by d T / sqrt(12) RMS for stamps that lie
+anywhere.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+GAP_SPACINGS = 5.0
+"""Median spacings of a channel; a longer interval between two readings is a gap."""
+_ROUNDING = 1e-6  # of a step: a stamp and an instant that lie so near are the same
+
+
+class ChannelReadings(NamedTuple):
+    """Readings of one quantity.
+
+    Attributes:
+        stamps_s: (n,), instants of the readings, ascending.
+        values: (n,), in SI, finite.
+    """
+
+    stamps_s: np.ndarray
+    values: np.ndarray
+
+    @property
+    def spacing_s(self) -> float:
+        """Median interval between readings, infinite for fewer than two."""
+        return float(np.median(np.diff(self.stamps_s))) if len(self.values) > 1 else np.inf
+
+
+class SamplingInstants(NamedTuple):
+    """Even instants `start_s` + k `time_step_s` for k from 0 to `steps` - 1."""
+
+    start_s: float
+    time_step_s: float
+    steps: int
+
+    @property
+    def instants_s(self) -> np.ndarray:
+        """(steps,)."""
+        return self.start_s + self.time_step_s * np.arange(self.steps)
+
+
+def channel_of(stamps_s: np.ndarray, values: np.ndarray) -> ChannelReadings:
+    """Return the channel of rows (n,), sorted by their stamps; a NaN value is no reading.
+
+    Raises:
+        ValueError: a reading without a stamp, or two readings with one stamp.
+    """
+    read = np.isfinite(values)
+    stamps_s, values = stamps_s[read], values[read]
+    if not np.isfinite(stamps_s).all():
+        number = int(np.flatnonzero(~np.isfinite(stamps_s))[0]) + 1
+        raise ValueError(f"reading {number} has no time; give it one, or remove it")
+    order = np.argsort(stamps_s, kind="stable")
+    stamps_s, values = stamps_s[order], values[order]
+    repeated = np.flatnonzero(np.diff(stamps_s) == 0)
+    if len(repeated):
+        raise ValueError(
+            f"two readings have the time {stamps_s[repeated[0]]:.9g} s, but a reading counts once; "
+            "drop repeated lines"
+        )
+    return ChannelReadings(stamps_s, values)
+
+
+def grid_over(channels: Mapping[str, ChannelReadings], time_step_s: float) -> SamplingInstants:
+    """Return the instants from the first reading of all channels to the last."""
+    read = [channel.stamps_s for channel in channels.values() if len(channel.values)]
+    start_s, end_s = min(stamps[0] for stamps in read), max(stamps[-1] for stamps in read)
+    return SamplingInstants(
+        float(start_s), time_step_s, _nearest(end_s - start_s, time_step_s).item() + 1
+    )
+
+
+def readings_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.ndarray:
+    """Return each reading once, in the row of the instant nearest to its stamp.
+
+    The result is (steps, r), in the order of the stamps and filled up with NaN; r is the largest
+    number of readings of one step, at least 1.
+    """
+    steps = _nearest(channel.stamps_s - grid.start_s, grid.time_step_s)
+    rank = np.arange(len(steps)) - np.searchsorted(steps, steps)
+    by_step = np.full((grid.steps, int(rank.max(initial=0)) + 1), np.nan)
+    by_step[steps, rank] = channel.values
+    return by_step
+
+
+def _nearest(since_start_s: np.ndarray, time_step_s: float) -> np.ndarray:
+    return np.floor(since_start_s / time_step_s + 0.5).astype(int)
+
+
+def mean_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.ndarray:
+    """Return the mean (steps,) of the readings of each step, NaN where there is none."""
+    by_step = readings_by_step(channel, grid)
+    count = np.isfinite(by_step).sum(axis=1)
+    return np.nansum(by_step, axis=1) / np.where(count > 0, count, np.nan)
+
+
+def interpolated(channel: ChannelReadings, grid: SamplingInstants) -> np.ndarray:
+    """Return values (steps,) between readings, for inputs that drive a model.
+
+    They are NaN outside the readings and in a gap of the channel (`GAP_SPACINGS`).
+    """
+    stamps, instants = channel.stamps_s, grid.instants_s
+    if len(stamps) < 2:
+        return mean_by_step(channel, grid)
+    inside = np.clip(instants, stamps[0], stamps[-1])
+    after = np.clip(np.searchsorted(stamps, inside), 1, len(stamps) - 1)
+    nearest = np.where(inside - stamps[after - 1] < stamps[after] - inside, after - 1, after)
+    at_reading = np.abs(instants - stamps[nearest]) <= _ROUNDING * grid.time_step_s
+    gap_s = stamps[after] - stamps[after - 1]
+    between = (instants == inside) & (gap_s <= GAP_SPACINGS * channel.spacing_s)
+    values = np.where(between, np.interp(instants, stamps, channel.values), np.nan)
+    return np.where(at_reading, channel.values[nearest], values)
