@@ -78,7 +78,7 @@ lock:
 		--output-file requirements.lock
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --group dev \
-		--extra convex --extra dask --extra secure --extra vehicle \
+		--extra convex --extra dask --extra logs --extra secure --extra vehicle \
 		--output-file requirements-dev.lock
 
 clean:

@@ -18,7 +18,7 @@ DATA = ROOT.parent / "shared" / "data" / "mrclam6"
 
 
 def test_there_are_examples():
-    assert len(SCRIPTS) >= 8 and len(NOTEBOOKS) >= 4
+    assert len(SCRIPTS) >= 9 and len(NOTEBOOKS) >= 4
 
 
 @pytest.mark.zenoh

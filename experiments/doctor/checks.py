@@ -28,6 +28,7 @@ _ANSWER_S = 5.0
 EXTRAS = {
     "convex": ("cvxpy", "the tight bounds of set-membership filters"),
     "dask": ("distributed", "sweeps over Dask"),
+    "logs": ("pyulog", "logs in MCAP and ULog files"),
     "secure": ("cryptography", "concord keys"),
     "vehicle": ("vehiclemodels", "the simulated cars"),
 }

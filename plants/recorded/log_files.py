@@ -8,6 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
+from concord.plants.recorded.dataset_files import DatasetFile
+from concord.plants.recorded.mcap_files import McapFile
+from concord.plants.recorded.ulog_files import ULogFile
+
 
 class LogFile(Protocol):
     """Series of a file.
@@ -86,7 +90,12 @@ def _number(line: int, row: list[str], place: int) -> float:
         ) from None
 
 
-READERS: Mapping[str, Callable[[Path], LogFile]] = {".csv": CsvFile}
+READERS: Mapping[str, Callable[[Path], LogFile]] = {
+    ".csv": CsvFile,
+    ".nc": DatasetFile,
+    ".mcap": McapFile,
+    ".ulg": ULogFile,
+}
 """Reader of a file by the end of its name."""
 
 

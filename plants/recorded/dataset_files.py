@@ -1,0 +1,53 @@
+"""Logs in netCDF files, as xarray writes them."""
+
+from pathlib import Path
+
+import numpy as np
+
+_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+
+
+class DatasetFile:
+    """Variables of one dimension each; a coordinate of that dimension stamps them.
+
+    The coordinate holds dates (`datetime64`), or numbers with the attribute `units`: s, ms or us.
+    Dates count from 1970, exact to 0.3 us.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Read the file.
+
+        Raises:
+            ValueError: it cannot be read.
+        """
+        import xarray  # here, so that a node process never loads it
+
+        try:
+            self._variables = xarray.load_dataset(
+                file, engine="h5netcdf", decode_timedelta=False
+            ).variables
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{file}: cannot be read as netCDF ({error})") from None
+        self.names = tuple(
+            str(name)
+            for name, variable in self._variables.items()
+            if variable.ndim == 1 and variable.dtype.kind in "fiubM"
+        )
+
+    def series(self, name: str) -> np.ndarray:
+        """Return the numbers (n,) of a variable; dates in seconds."""
+        values = self._variables[name].values
+        if values.dtype.kind != "M":
+            return values.astype(float)
+        since_s = (values - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+        return np.where(np.isnat(values), np.nan, since_s)
+
+    def stamps_s(self, name: str) -> np.ndarray | None:
+        """Return the coordinate (n,) of a variable, or None where it has no known unit of time."""
+        (dimension,) = self._variables[name].dims
+        if dimension not in self.names:
+            return None
+        coordinate = self._variables[dimension]
+        dated = coordinate.dtype.kind == "M"
+        factor = 1.0 if dated else _TIME_UNITS.get(coordinate.attrs.get("units", ""))
+        return None if factor is None else factor * self.series(str(dimension))
