@@ -27,6 +27,16 @@ class WholeStep(NamedTuple):
     messages: list[tuple[str, bytes]]
 
 
+class Handover(NamedTuple):
+    """The newest whole step, and the readings of all steps up to it; None where they are too many.
+
+    The recorder gives it to a page that begins to listen.
+    """
+
+    step: WholeStep
+    readings: list[WholeStep] | None
+
+
 class _Told(msgspec.Struct):
     step: Instant
 

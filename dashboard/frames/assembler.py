@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.dashboard.frames.bus_cycles import BusView, judged
+from concord.dashboard.frames.centralised import CentralisedFilter
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
 from concord.dashboard.frames.innovations import InnovationsTold
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from concord.dashboard.frames.scores import fuse, score
 from concord.dashboard.frames.stage import Stage, restaged
-from concord.dashboard.frames.told import StepContent, delivered, read_step
+from concord.dashboard.frames.told import StepContent, read_step
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
 from concord.runtime.whole_steps import WholeStep
-from concord.scenarios.baselines import BaselineContent, baseline_step, filters_step_by_step
 
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")
@@ -37,12 +37,8 @@ class Assembler:
         self._events: list[LogEntry] = []
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
-        prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
         self._innovations = InnovationsTold(stage.setup)
-        self._listen = None
-        if filters_step_by_step(stage.setup):
-            self._listen = baseline_step(stage.setup, list(range(nodes)))
-        self._central = BaselineContent(prior)
+        self.centralised = CentralisedFilter(stage)
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
@@ -70,15 +66,11 @@ class Assembler:
         self._apply_changes(step.number)
         if self._last is not None and step.number > self._last + 1:
             self._leave_out(step.number - self._last - 1)
-        elif self._last is None and step.number > 0:
-            # A filter that begins here from the prior would seem worse than the nodes.
-            self._listen = None
         self._last = step.number
         return self._drawn(step.number, from_wire(told.truth.state), told)
 
     def _leave_out(self, steps: int) -> None:
-        """Of so many steps nothing was heard: who sent in them, and what a filter would know."""
-        self._listen = None
+        """Let so many steps pass of which nothing was heard."""
         self._last_sent[:] = -1
         self._ages += np.where(self._ages >= 0, steps * self._stage.rounds, 0)
 
@@ -115,7 +107,7 @@ class Assembler:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
         self._take_estimates(number, told)
-        central = self._hear_all(number, told)
+        central = self.centralised.add(number, told)
         nis = self._innovations.add(number, told, self._belief, self._alive)
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
@@ -182,16 +174,6 @@ class Assembler:
                 self._rejection[node] = reason
                 text = f"node {self._stage.names[node]} rejected a frame: {reason}"
                 self._events.append(LogEntry(number, text, node, True))
-
-    def _hear_all(self, number: int, told: StepContent) -> Gaussian | None:
-        """The filter that hears everything, one step on; none where it cannot be followed."""
-        if self._listen is None:
-            return None
-        readings, driven = delivered(told, self._stage.nodes)
-        if readings is None:
-            return None
-        self._central = self._listen(self._central, number, readings, driven)
-        return self._central.belief
 
     def _lost(self, ages: NDArray[np.int64], alive: np.ndarray, last_cycle: int) -> np.ndarray:
         """Whose newest share did not reach whom: what is held is older than what was sent."""

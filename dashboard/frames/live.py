@@ -7,7 +7,7 @@ the recorder offers every step of a slow network and some steps of a fast one
 
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from threading import Thread
 from typing import Any
@@ -21,6 +21,7 @@ from concord.dashboard.frames.source import CommandAnswer, SourceState
 from concord.dashboard.frames.stage import Stage, restaged, set_stage
 from concord.nodes.commands import Command
 from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.processes.recorder.throttled_feed import STEPS_PER_S
 from concord.runtime.whole_steps import WholeStep
 from concord.scenarios.setup import Setup
 
@@ -28,6 +29,8 @@ _STATE_PERIOD_S = 0.5
 # The network is asked twice a second; a loaded machine may answer a few times later.
 _SILENT_S = 5.0
 _QUEUE = 1000
+# The page draws ten times a second meanwhile.
+_TAKE_OVER_S = 0.03
 
 
 class LiveStanding(msgspec.Struct):
@@ -95,6 +98,9 @@ class LiveNetwork:
         self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
+        self._taking_over: Iterator[int] = iter(())
+        self._taken: int | None = None
+        self._take_over(standing.first_step)
         self._end: str | None = None
         self._refused = self._closed = False
         self._asked_s = self._heard_s = time.monotonic()
@@ -109,9 +115,41 @@ class LiveNetwork:
         self._heard_s = time.monotonic()
         self._heard.append((topic, data))
 
+    def _take_over(self, since: int) -> None:
+        """Begin with the newest whole step, unless it had other settings than those since a step.
+
+        The filter that hears everything follows a network whose steps all come. It first takes the
+        readings of the steps before.
+        """
+        with suppress(msgspec.MsgspecError):
+            handed = self._client.handover()
+            if handed is None or handed.step.number < since:
+                return
+            self._heard.appendleft(("steps", msgspec.msgpack.encode(handed.step)))
+            before = (handed.readings or [])[:-1]
+            is_whole = [step.number for step in before] == list(range(handed.step.number))
+            is_slow = self._state.paused or 0 < self._state.steps_per_second <= STEPS_PER_S
+            if is_whole and is_slow:
+                self._taking_over = self._assembler.centralised.take_over(before)
+
+    def _is_taking_over(self) -> bool:
+        """Go on with the steps before the first frame for a moment; say whether some are left."""
+        if len(self._heard) > _QUEUE // 2:
+            # The network is faster than the filter.
+            self._taking_over = iter(())
+        until_s = time.monotonic() + _TAKE_OVER_S
+        for step in self._taking_over:
+            self._taken = step
+            if time.monotonic() > until_s:
+                return True
+        self._taken = None
+        return False
+
     def poll(self) -> list[StepFrame]:
         """Return the frames that have come since the last call."""
         self._ask_state()
+        if self._is_taking_over():
+            return []
         frames: list[StepFrame | None] = []
         while self._heard:
             topic, data = self._heard.popleft()
@@ -162,6 +200,9 @@ class LiveNetwork:
         silent_s = time.monotonic() - self._heard_s
         if self._refused or silent_s > _SILENT_S:
             return SourceState("SILENT", f"no answer for {silent_s:.0f} s, after {told}")
+        if self._taken is not None:
+            told = f"readings of {self._taken + 1} of {completed} steps"
+            return SourceState("LOADING", told, completed, rate)
         state = "PAUSED" if self._state.paused else "RUNNING"
         return SourceState(state, told, completed, rate)
 

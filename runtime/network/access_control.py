@@ -68,10 +68,11 @@ def rights(nodes: int) -> dict[str, Rights]:
         says=("end", "recorded/*", "watch/**"),
         is_ready=(f"ready/{RECORDER}",),
         hears=("**",),
+        answers=("handover",),
         asks=("state",),
     )
-    table[MONITOR] = Rights(hears=("**",), asks=("state",))
-    table[OPERATOR] = Rights(hears=("**",), asks=("state", "control"))
+    table[MONITOR] = Rights(hears=("**",), asks=("state", "handover"))
+    table[OPERATOR] = Rights(hears=("**",), asks=("state", "handover", "control"))
     return table
 
 

@@ -8,8 +8,10 @@ import msgspec
 from concord.nodes.commands import Answer, Command
 from concord.runtime.network.links import ZenohEndpoints, checked_run
 from concord.runtime.network.zenoh_transport import LinkError, Transport
+from concord.runtime.whole_steps import Handover
 
 _CONNECT_S = 3.0
+_HANDOVER_S = 0.5
 
 
 class NotThere(ValueError):
@@ -81,6 +83,20 @@ class Client:
         """
         answer = self._ask(self._transport, "control", msgspec.json.encode(command))
         return msgspec.json.decode(answer, type=Answer)
+
+    def handover(self) -> Handover | None:
+        """Return the newest whole step and the readings so far; None before the first step is over.
+
+        Raises:
+            msgspec.MsgspecError: the recorder is of another version.
+        """
+        # The recorder's declaration may still be on its way to us.
+        deadline = time.monotonic() + _HANDOVER_S
+        answer = self._transport.ask("handover")
+        while answer is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+            answer = self._transport.ask("handover")
+        return msgspec.msgpack.decode(answer, type=Handover) if answer else None
 
     def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> Callable[[], None]:
         """Have `heard(topic, bytes)` called, in another thread, for what is recorded on a topic

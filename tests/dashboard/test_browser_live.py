@@ -10,6 +10,7 @@ import pytest
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.frames.replay import replayed
 from concord.dashboard.panels.network_controls import NetworkControls
 from concord.dashboard.panels.node_controls import NodeControls
 from concord.dashboard.serve import open_network
@@ -99,6 +100,31 @@ def test_the_network_is_drawn_as_it_runs(page: Page):
     page.until(lambda: page.text("alive") == "8 / 8")
     assert "/network/nodes" in page.scene()
     page.until(lambda: len(page.chart_points()) >= 4 and min(page.chart_points()[:4]) > 5)
+
+
+def test_a_page_that_comes_to_a_paused_network_shows_where_it_stands(
+    chromium, page: Page, onlooker: Client, network: Path
+):
+    page.press("Pause")
+    page.until(lambda: page.text("run-state") == "PAUSED")
+    page.until(lambda: stands_still_at(page, onlooker, onlooker.state()["completed"] - 1))
+    reach = read_network(network)
+    source = LiveNetwork(reach.connect, reach.run)
+    later = Page(open_network(source, network, "127.0.0.1", 0, light=False), chromium)
+    try:
+        for name in ("step", "rmse", "alive", "bus-cycle"):
+            later.until(lambda name=name: later.text(name) == page.text(name))
+        # The filter that hears everything has taken the readings of all steps before.
+        assert float(later.text("central").split()[0]) > 0
+        told = replayed(later.dashboard.stage, network / "run.mcap")
+        heard = next(one for one in told if one.step == int(later.text("step")))
+        assert newest(later).scores.central == heard.scores.central
+        later.press("Step")
+        step = int(page.text("step")) + 1
+        later.until(lambda: later.text("step") == str(step))
+        assert later.text("run-state") == "PAUSED"
+    finally:
+        later.close()
 
 
 def stands_still_at(page: Page, onlooker: Client, step: int) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.frames.replay import replayed
 from concord.dashboard.serve import open_network
 from concord.nodes.commands import in_words
 from concord.runtime.network.control_client import Client, NotThere
@@ -94,16 +95,30 @@ def test_nobody_at_an_endpoint_is_said_in_one_sentence():
     assert time.monotonic() - started < 15
 
 
-def test_a_page_on_a_network_that_stands_still_shows_its_next_step(network: Path, onlooker: Client):
+def test_a_page_on_a_network_that_stands_still_shows_this_step_and_the_next(
+    network: Path, onlooker: Client
+):
     last = _pause(onlooker)
     reach = read_network(network)
     page = LiveNetwork(reach.connect, reach.run)
     try:
+        (frame,) = _until(page, lambda frames: bool(frames))
+        assert frame.step == last > 0
+        assert all(cycle.payload_bytes for cycle in frame.cycles)
+        # A page that heard the run from its beginning shows the same, its centralised filter too.
+        told = replayed(page.stage, network / "run.mcap")
+        heard = next(one for one in told if one.step == last)
+        np.testing.assert_array_equal(frame.belief.mean, heard.belief.mean)
+        np.testing.assert_array_equal(frame.belief.cov, heard.belief.cov)
+        np.testing.assert_array_equal(frame.ages, heard.ages)
+        assert frame.scores.central == heard.scores.central > 0
+        assert frame.scores.rmse == heard.scores.rmse
         for step in (last + 1, last + 2):
             _say(onlooker, "step 1")
             frames = _until(page, lambda frames, step=step: step in [f.step for f in frames])
             # The step at which the network stands may be on its way to us still.
             assert [frame.step for frame in frames if frame.step > last] == [step]
+            assert frames[-1].scores.central > 0
             assert all(cycle.payload_bytes for cycle in frames[-1].cycles)
             assert not np.isnan(frames[-1].belief.mean).any()
     finally:

@@ -49,8 +49,13 @@ PUBLISHED: dict[str, tuple[set[str], set[str]]] = {
 }
 TOKENS = {"ready/0": {"node-0"}, "ready/1": {"node-1"}, "ready/world": {"world"},
           "ready/recorder": {"recorder"}, "ready/monitor": NOBODY}  # fmt: skip
-QUERIES = {"state": (ENVIRONMENT, WATCHERS | NODES), "clock": (ENVIRONMENT, NODES),
-           "control": (ENVIRONMENT, {"operator"}), "welcome/0": (NOBODY, NOBODY)}  # fmt: skip
+QUERIES = {
+    "state": (ENVIRONMENT, WATCHERS | NODES),
+    "clock": (ENVIRONMENT, NODES),
+    "control": (ENVIRONMENT, {"operator"}),
+    "handover": ({"recorder"}, {"monitor", "operator"}),
+    "welcome/0": (NOBODY, NOBODY),
+}
 
 
 def includes(key: str, topic: str) -> bool:

@@ -53,7 +53,7 @@ def run_recorder(
     Raises:
         LinkError: the network cannot be joined.
     """
-    transport = Transport(run, links, ["**"], RECORDER_QUEUE)
+    transport = Transport(run, links, ["**"], RECORDER_QUEUE, answers=True)
     subscribers = Subscribers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
     ends, remembered = _Ends(transport, steps.nodes), Deduplication()

@@ -1,4 +1,7 @@
-"""Subscribers of the recorder hear each message, and as many whole steps as an eye follows."""
+"""Subscribers of the recorder hear each message, and as many whole steps as an eye follows.
+
+A subscriber that comes later asks for the newest step and for all readings up to it.
+"""
 
 import math
 import threading
@@ -9,7 +12,10 @@ import msgspec
 
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.recorder.throttled_feed import ThrottledFeed
-from concord.runtime.whole_steps import WholeStep, WholeSteps
+from concord.runtime.whole_steps import Handover, WholeStep, WholeSteps
+
+# Kept of the readings of a run: some 15 000 steps of eight nodes.
+_MOST_READING_BYTES = 16_000_000
 
 
 class Subscribers:
@@ -20,7 +26,11 @@ class Subscribers:
         self._feed = ThrottledFeed()
         self._alarm: threading.Timer | None = None
         self._are_there = False
+        self._newest: WholeStep | None = None
+        self._readings: list[WholeStep] | None = []
+        self._reading_bytes = 0
         offered.listened("watch/**", self._see)
+        offered.answer("handover", self._hand_over)
 
     def _see(self, are_there: bool) -> None:
         """In zenoh's thread."""
@@ -30,6 +40,8 @@ class Subscribers:
         """Messages were recorded."""
         for topic, data in messages:
             whole = self._steps.take(topic, data)
+            for step in whole:
+                self._keep(step)
             if not self._are_there:
                 continue
             self._offered.offer(f"watch/{topic}", data)
@@ -46,6 +58,28 @@ class Subscribers:
             self._alarm.cancel()
         self._offer(self._feed.due(math.inf))
         self._offered.close()
+
+    def _keep(self, step: WholeStep) -> None:
+        """Keep a step that is over for subscribers that come later."""
+        if self._readings is not None:
+            told = [(topic, data) for topic, data in step.messages if topic.startswith("measured/")]
+            self._readings.append(WholeStep(step.number, told))
+            self._reading_bytes += sum(len(data) for _, data in told)
+            if self._reading_bytes > _MOST_READING_BYTES:
+                self._readings = None
+        self._newest = step
+
+    def _hand_over(self, _: bytes) -> bytes:
+        """Return the newest step with the readings so far; nothing before the first step is over.
+
+        Runs on: zenoh's thread. Holds: no lock; the list only grows, and is read in one go.
+        """
+        newest, readings = self._newest, self._readings
+        if newest is None:
+            return b""
+        if readings is not None:
+            readings = [step for step in list(readings) if step.number <= newest.number]
+        return msgspec.msgpack.encode(Handover(newest, readings))
 
     def _offer(self, step: WholeStep | None) -> None:
         if step is not None:
