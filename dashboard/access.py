@@ -49,10 +49,14 @@ class PageAccess:
     """
 
     def __init__(self, host: str) -> None:
-        self.token = secrets.token_urlsafe(_TOKEN_BYTES)
-        # Pages of one machine share its cookies, whatever their ports are.
-        self._cookie = f"concord-{sha256(self.token.encode()).hexdigest()[:12]}"
+        self.adopt(secrets.token_urlsafe(_TOKEN_BYTES))
         self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+
+    def adopt(self, token: str) -> None:
+        """Let browsers in that show this token, and no other."""
+        self.token = token
+        # Pages of one machine share its cookies, whatever their ports are.
+        self._cookie = f"concord-{sha256(token.encode()).hexdigest()[:12]}"
 
     def refusal(self, request: Request) -> str | None:
         """Return why a request is refused, in one sentence; None if it is allowed."""

@@ -13,6 +13,7 @@ from threading import Event as Flag
 import numpy as np
 import viser
 
+from concord.dashboard.access import PageAccess
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
@@ -69,6 +70,11 @@ class Dashboard:
     def url(self) -> str:
         """Return the address of the page, with the token that lets a browser in."""
         return self._window.url
+
+    @property
+    def access(self) -> PageAccess:
+        """Return the rules of access to the page."""
+        return self._window.access
 
     def _shown(self) -> Shown:
         with self.view.lock:

@@ -21,9 +21,9 @@ def launched(setup: Setup, out: Path | None, dashboard: bool) -> Path:
     name, folder = new_folder(out, setup.scenario.name)
     description = describe(name, "processes", setup)
     write_description(folder, description)
-    page = PageProcess(folder, _HTTP_PORT)
+    page = PageProcess(_HTTP_PORT)
     try:
-        on_step = page.beside(lambda _: None) if dashboard else lambda _: None
+        on_step = page.beside(folder, lambda _: None) if dashboard else lambda _: None
         over_processes(setup, name, folder / RECORDING, None, on_step)
     finally:
         page.close()

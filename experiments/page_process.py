@@ -1,11 +1,16 @@
 """The dashboard beside a run: a process of its own that ends with the launcher.
 
 The network waits for the first user of the page, for a limited time, so that the user sees the
-beginning. The launcher writes `RUN_IS_OVER` to the page's standard input when the run is over.
+beginning. The launcher writes the token of the page to its standard input, and `RUN_IS_OVER` when
+the run is over. The page writes its port to its standard output, and `RUN_AGAIN` when the user
+presses that button.
 """
 
+import queue
+import secrets
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -14,71 +19,107 @@ from concord.nodes.commands import Pause
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import read_network
 
-RUN_IS_OVER = b"over\n"
+RUN_IS_OVER, RUN_AGAIN = b"over\n", b"again\n"
+PORT = b"port "
 _END_S = 5.0
 
 
 class PageProcess:
-    """The page of a run, started when the run has begun."""
+    """The page of a run, started when the run has begun.
 
-    def __init__(self, folder: Path, http_port: int) -> None:
-        self._folder, self._http_port = folder, http_port
+    The page of the next run takes the same port and token, so that browsers reconnect by
+    themselves.
+    """
+
+    def __init__(self, http_port: int) -> None:
+        self._http_port, self._token = http_port, secrets.token_urlsafe(24)
         self._process: subprocess.Popen[bytes] | None = None
+        self._asks_again: queue.Queue[bool] = queue.Queue()
 
-    def beside(self, on_step: Callable[[int], None]) -> Callable[[int], None]:
-        """`on_step`, which at its first call also starts the page."""
+    def beside(self, folder: Path, on_step: Callable[[int], None]) -> Callable[[int], None]:
+        """`on_step`, which at its first call also starts the page of the run in this folder."""
+        is_started = False
 
         def told(step: int) -> None:
-            if self._process is None:
-                self._start()
+            nonlocal is_started
+            if not is_started:
+                is_started = True
+                self._start(folder)
             on_step(step)
 
         return told
 
-    def _start(self) -> None:
+    def _start(self, folder: Path) -> None:
         # A session with a network takes longer to load than all else here.
         from concord.runtime.network.control_client import Client
 
-        network = read_network(self._folder)
+        network = read_network(folder)
         client = Client(network.connect, network.run)
         client.command(Pause())
         client.close()
-        place = ("--folder", str(self._folder), "--http-port", str(self._http_port))
+        # The page of the run before has stayed until now.
+        self.close()
+        place = ("--folder", str(folder), "--http-port", str(self._http_port))
         self._process = subprocess.Popen(
             fresh_command("concord.experiments", "dashboard", *place, "--with-launcher"),
             env=fresh_variables(),
             stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             # Ctrl-C is for the launcher; the page ends when its standard input closes.
             start_new_session=True,
         )
+        self._asks_again = queue.Queue()
+        threading.Thread(
+            target=self._hear, args=(self._process, self._asks_again), daemon=True
+        ).start()
+        self._tell(f"{self._token}\n".encode())
 
-    def tell_end(self) -> None:
-        """Have the page say that the run is over."""
-        if self._process is None:
-            return
+    def _hear(self, process: subprocess.Popen[bytes], asks_again: "queue.Queue[bool]") -> None:
+        """Runs on: a thread of its own, until the page ends."""
+        assert process.stdout is not None, "it was started with a pipe"
+        for line in process.stdout:
+            if line.startswith(PORT):
+                self._http_port = int(line.removeprefix(PORT))
+            elif line == RUN_AGAIN:
+                asks_again.put(True)
+        asks_again.put(False)
+
+    def _tell(self, line: bytes) -> None:
+        assert self._process is not None, "the caller has looked"
         assert self._process.stdin is not None, "it was started with a pipe"
         # The page may have ended before the run.
         with suppress(BrokenPipeError):
-            self._process.stdin.write(RUN_IS_OVER)
+            self._process.stdin.write(line)
             self._process.stdin.flush()
 
-    def stay(self) -> None:
-        """Wait until the user presses Ctrl-C, or the page has ended."""
+    def tell_end(self) -> None:
+        """Have the page say that the run is over."""
+        if self._process is not None:
+            self._tell(RUN_IS_OVER)
+
+    def stay(self) -> bool:
+        """Wait until the user presses Ctrl-C or the page has ended; return True as soon as the user
+        asks for the same run again."""
         if self._process is None or self._process.poll() is not None:
-            return
+            return False
         sys.stdout.flush()
-        sys.stderr.write("the run is over; its page stays until Ctrl-C\n")
+        sys.stderr.write(
+            "the run is over; its page stays until Ctrl-C, and its button runs it again\n"
+        )
         with suppress(KeyboardInterrupt):
-            self._process.wait()
+            return self._asks_again.get()
+        return False
 
     def close(self) -> None:
         """End the page."""
         if self._process is None:
             return
         assert self._process.stdin is not None, "it was started with a pipe"
-        self._process.stdin.close()
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._process = None

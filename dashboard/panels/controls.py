@@ -19,6 +19,14 @@ from concord.dashboard.view import View
 _MOST_STEPS_PER_S, _MOST_SPEED = 100, 16.0
 _SPEED_HINT = "1 is as fast as the plant"
 
+# viser gives a connection one second, which a busy machine may exceed for minutes. So the page
+# loads anew as soon as its server, which was gone, answers again.
+_RELOAD = (
+    '<img src="data:," alt="" onerror="if(!window.concordReloads){window.concordReloads=1;'
+    "let gone=false;setInterval(()=>fetch(location.href,{cache:'no-store'})"
+    '.then(answer=>{if(gone&&answer.ok)location.reload()},()=>{gone=true}),300)}">'
+)
+
 
 class Controls:
     """The widgets of the left panel; `network` and `node` are None on a page without commands."""
@@ -37,6 +45,7 @@ class Controls:
         # A recording is played by the page; so is the run of a network that has ended.
         self._plays = not source.live
         self._answered, self._rate = True, 0.0
+        self._run_again: Callable[[], None] | None = None
         self._commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
         self._run_folder(gui, source)
@@ -62,12 +71,15 @@ class Controls:
                 color=QUIET_BUTTON,
                 icon=viser.Icon.BROADCAST,
             )
+            self.again: Any = gui.add_button("Run again", icon=viser.Icon.REFRESH, visible=False)
+            self._reload: Any = gui.add_html("")
         # On a page that is read-only the pace of the network is not for its users to choose.
         for widget in (self.pause, self.one, self.speed):
             widget.visible = source.takes_commands or not source.live
         self.pause.on_click(at_once(lambda event: self.toggle(event.client)))
         self.one.on_click(at_once(lambda event: self.step_once(event.client)))
         self.speed.on_update(at_once(self._set_speed))
+        self.again.on_click(at_once(lambda _: self._start_again()))
         self.go_live.on_click(at_once(lambda _: self.follow()))
 
     def toggle(self, client: Any) -> None:
@@ -103,6 +115,18 @@ class Controls:
     def follow(self) -> None:
         """Show the newest step, and what comes."""
         self._inputs.alter(lambda view: view.go_to_end())
+
+    def offer_again(self, act: Callable[[], None]) -> None:
+        """Show a button that starts the same run again by `act`; from any thread."""
+        self._run_again = act
+        self._inputs.show(self.again, visible=self._source.takes_commands)
+
+    def _start_again(self) -> None:
+        if self._run_again is not None:
+            act, self._run_again = self._run_again, None
+            self.again.disabled, self.again.label = True, "The run starts again"
+            self._reload.content = _RELOAD
+            act()
 
     def _set_speed(self, event: Any) -> None:
         rate = float(self.speed.value)

@@ -2,6 +2,7 @@
 
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,7 @@ import tyro
 
 from concord.experiments.monte_carlo.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
-from concord.experiments.page_process import RUN_IS_OVER
+from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
 from concord.experiments.priority import give_way
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
@@ -70,12 +71,15 @@ def dashboard(
     page = open_network(
         source, network.folder, options.host, options.http_port, options.light, others
     )
+    if network.with_launcher:
+        page.access.adopt(sys.stdin.readline().strip())
+        _tell_launcher(PORT + f"{page.server.get_port()}\n".encode())
     sys.stderr.write(f"dashboard at {page.url}  (Ctrl-C leaves)\n")
     sys.stderr.flush()
     launcher_gone = threading.Event()
     if network.with_launcher:
         follow = threading.Thread(
-            target=_follow_launcher, args=(source, network.folder, launcher_gone), daemon=True
+            target=_follow_launcher, args=(page, source, network.folder, launcher_gone), daemon=True
         )
         follow.start()
         threading.Thread(target=_begin, args=(page,), daemon=True).start()
@@ -96,9 +100,19 @@ def _begin(page: "Dashboard") -> None:
     page.source.ask({"do": "resume"})
 
 
-def _follow_launcher(source: "LiveNetwork", folder: Path | None, gone: threading.Event) -> None:
+def _tell_launcher(line: bytes) -> None:
+    """Write a line to standard output, which the launcher reads; it may be gone."""
+    with suppress(BrokenPipeError):
+        sys.stdout.buffer.write(line)
+        sys.stdout.buffer.flush()
+
+
+def _follow_launcher(
+    page: "Dashboard", source: "LiveNetwork", folder: Path | None, gone: threading.Event
+) -> None:
     """Read what the launcher says: that the run is over, then, by closing, that it is gone."""
-    for line in sys.stdin.buffer:
-        if line == RUN_IS_OVER:
+    for line in iter(sys.stdin.readline, ""):
+        if line.encode() == RUN_IS_OVER:
+            page.controls.offer_again(lambda: _tell_launcher(RUN_AGAIN))
             source.end("the run is over" if folder is None else f"results in {folder}")
     gone.set()

@@ -4,6 +4,7 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +20,7 @@ from concord.experiments.progress import progress
 from concord.experiments.results.folder import (
     BATCHED,
     RECORDING,
+    Description,
     describe,
     make_folder,
     new_name,
@@ -94,13 +96,8 @@ def run(
             check_smoothing(setup)
         if output.port is not None:
             ports_from(output.port, names(setup.neighbours))
-        name = new_name(setup.scenario.name)
-        tempo = _tempo(output, setup)
-        description = describe(name, output.driver, setup, tempo)
-        # Described first: a folder is never without its description.
-        folder = make_folder(output.out, name)
-        write_description(folder, description)
-    sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
+        description, folder = _begun(setup, output, output.out)
+    tempo = _tempo(output, setup)
     if tempo is not None:
         sys.stderr.write(
             f"real time: a cycle every {tempo.cycle_s * 1e3:.3g} ms ({tempo.stretch:.3g} x the "
@@ -113,13 +110,43 @@ def run(
         many = output.covariances, output.json
         run_many(setup, output.runs, folder, description, *many)
         return
-    with closing(PageProcess(folder, output.http_port)) as page:
-        pace = _watched(setup, output, name, folder, page)
-        with user_errors():
-            trace = completed(folder, description)
-        shown = FiguresForm(output.json, output.verbose)
-        finish(folder, description, trace, pace, shown, captures, output.smooth)
-        page.stay()
+    with closing(PageProcess(output.http_port)) as page:
+        while True:
+            pace = _watched(setup, output, description.run, folder, page)
+            with user_errors():
+                trace = completed(folder, description)
+            shown = FiguresForm(output.json, output.verbose)
+            finish(folder, description, trace, pace, shown, captures, output.smooth)
+            if not page.stay():
+                return
+            with user_errors():
+                description, folder = _begun(setup, output, _next_folder(output.out))
+
+
+def _begun(setup: Setup, output: RunOptions, out: Path | None) -> tuple[Description, Path]:
+    """Make the folder of a run, described; return its description and the folder.
+
+    Raises:
+        ValueError: `out` exists, or cannot be made.
+    """
+    name = new_name(setup.scenario.name)
+    description = describe(name, output.driver, setup, _tempo(output, setup))
+    # Described first: a folder is never without its description.
+    folder = make_folder(out, name)
+    write_description(folder, description)
+    sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
+    return description, folder
+
+
+def _next_folder(out: Path | None) -> Path | None:
+    """Return the folder of the next of several runs: `out-2`, `out-3` and so on."""
+    if out is None:
+        return None
+    return next(
+        folder
+        for number in count(2)
+        if not (folder := out.with_name(f"{out.name}-{number}")).exists()
+    )
 
 
 def _watched(
@@ -133,7 +160,7 @@ def _watched(
                 DRIVERS[output.driver] if tempo is None else partial(over_processes, tempo=tempo)
             )
             if output.dashboard:
-                on_step = page.beside(on_step)
+                on_step = page.beside(folder, on_step)
             pace = driver(setup, name, folder / RECORDING, output.port, on_step)
             page.tell_end()
             if output.dashboard:

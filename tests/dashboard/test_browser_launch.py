@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+from concord.nodes.messages import decode
 from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
+from concord.runtime.recording import read_recording
 from tests.dashboard.browser_page import press_on, row_of, slot_of
-from tests.processes import PROC, Family, family, holds_within, lives
+from tests.processes import PATIENCE_S, PROC, Family, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,8 +95,8 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
 
 def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
     folder = tmp_path / "run"
-    words = (*NETWORK, "--steps", "24", "--out", str(folder), "--dashboard", "--http-port", "0")
-    with family((sys.executable, "launch_local.py", *words), ROOT) as command:
+    asked = (*NETWORK, "--steps", "24", "--out", str(folder), "--dashboard", "--http-port", "0")
+    with family((sys.executable, "launch_local.py", *asked), ROOT) as command:
         url = command.await_line("dashboard at ").split()[2]
         page = chromium.new_page(viewport={"width": 1280, "height": 720})
         page.set_default_timeout(90_000)
@@ -103,7 +105,8 @@ def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
         assert (folder / "run.nc").is_file()
         state = page.get_by_test_id("run-state").first
         assert holds(page, lambda: state.text_content() == "ENDED")
-        assert f"24 of 24 steps; results in {folder}" in page.locator("body").inner_text()
+        words = f"24 of 24 steps; results in {folder}"
+        assert holds(page, lambda: words in page.locator("body").inner_text())
         step = page.get_by_test_id("step").first
         assert holds(page, lambda: step.text_content() == "23")
         # The page plays what it has received.
@@ -117,10 +120,29 @@ def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
         page.wait_for_timeout(2000)
         assert lives(command.process.pid)
         assert state.text_content() == "ENDED"
+        # The same run again, in the next folder, on the page that is open.
+        page.get_by_role("button", name="Run again", exact=True).click()
+        command.await_line("dashboard at ", 3 * PATIENCE_S)
+        command.await_line("the run is over; its page stays until Ctrl-C", 3 * PATIENCE_S)
+        again = folder.with_name("run-2")
+        assert holds(page, lambda: f"results in {again}" in page.locator("body").inner_text())
+        assert (again / "run.nc").is_file()
+        assert estimates_in(again) == estimates_in(folder)
+        assert page.get_by_role("button", name="Run again", exact=True).is_enabled()
         page.close()
         command.send(signal.SIGINT)
         assert command.gone_within(10)
         assert command.process.wait() == 0
+
+
+def estimates_in(folder: Path) -> list[tuple[Any, ...]]:
+    """The mean and covariance of each node after each step, as they were recorded."""
+    told = (
+        (topic, decode(topic, data))
+        for topic, data in read_recording(folder / "run.mcap")
+        if topic.startswith("estimate/")
+    )
+    return sorted((topic, one.step, one.mean, one.cov) for topic, one in told)
 
 
 def holds(page, condition: Callable[[], bool]) -> bool:
