@@ -86,6 +86,7 @@ class Dashboard:
         bind, controls = self._window.bind, self.controls
         bind("Pause or resume", "P", controls.toggle)
         bind("One step", "N", controls.step_once)
+        bind("One step back", "B", lambda _: controls.step_back())
         bind("Go to the newest step", "G", lambda _: controls.follow())
         bind("Select the next node", "J", lambda _: self._select_next(1))
         bind("Select the node before", "K", lambda _: self._select_next(-1))

@@ -120,5 +120,5 @@ def _place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.Mai
 
 
 def _bus_height(canvas: int) -> int:
-    """The drawing keeps its shape; below it are a legend and the slider."""
-    return round(canvas * 0.17) + 112
+    """The drawings keep their shapes; with them are a legend and the slider."""
+    return round(canvas * 0.23) + 112

@@ -112,6 +112,10 @@ class Controls:
             self._commands.send({"do": "step", "count": 1}, client)
             self.follow()
 
+    def step_back(self) -> None:
+        """Show the step before, and stay there; a network that runs goes on."""
+        self._inputs.alter(lambda view: view.look_at(view.step - 1))
+
     def follow(self) -> None:
         """Show the newest step, and what comes."""
         self._inputs.alter(lambda view: view.go_to_end())

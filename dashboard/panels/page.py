@@ -15,6 +15,7 @@ from concord.dashboard.layout import lay_out
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
 from concord.dashboard.panels.help import help_panel
+from concord.dashboard.panels.run_strip import MOST_BINS, RunStrip
 from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
@@ -65,6 +66,8 @@ class Page:
             self._help: Any = gui.add_html("")
         with panels.bus:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
+            self._strip = RunStrip()
+            self._run = Bridge(gui, MOST_BINS, self._seek, lambda _: None)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
             self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
@@ -81,6 +84,10 @@ class Page:
 
     def _scrub(self, _: Any) -> None:
         step = int(self.slider.value)
+        self._inputs.alter(lambda view: view.look_at(step))
+
+    def _seek(self, number: int) -> None:
+        step = self._strip.step_of(number)
         self._inputs.alter(lambda view: view.look_at(step))
 
     def draw_scene(self, view: View, history: FrameHistory) -> None:
@@ -110,6 +117,9 @@ class Page:
         stage = frame.stage
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
+            "Run": (
+                self._run, lambda: self._strip.draw(stage, view.theme, history, frame.step),
+            ),
             "Nodes": (self._table, lambda: node_table(stage, view, frame)),
             "Beliefs": (
                 self._zoom, lambda: zoom(stage, view.theme, frame, view.pair, view.selected),

@@ -80,6 +80,27 @@ def test_charts_have_data(page: Page):
     page.until(lambda: len(page.chart_points()) >= 4 and min(page.chart_points()[:4]) > 5)
 
 
+def test_the_strip_shows_the_whole_run_and_a_press_on_it_seeks(page: Page):
+    bins = page.page.locator('[data-testid="run"] .bin')
+    assert bins.count() == 40
+    rmse = f"{page.dashboard.history.at(12).scores.rmse:.3g} m"
+    assert bins.nth(12).text_content().splitlines()[:2] == ["step 12", f"RMSE {rmse}"]
+    for step in (12, 39, 0):
+        press_on(page.page, f'[data-testid="run"] .bin[data-node="{step}"]')
+        page.until(lambda step=step: page.text("step") == str(step))
+        assert page.dashboard.history.last_step == 39
+
+    def cursor() -> float:
+        path = page.page.get_by_test_id("run-cursor").get_attribute("d") or ""
+        return float(path[1:].split()[0])
+
+    left = cursor()
+    press_on(page.page, '[data-testid="run"] .bin[data-node="20"]')
+    page.until(lambda: cursor() > left + 300)
+    page.key("b")
+    page.until(lambda: page.text("step") == "19")
+
+
 def test_pause_and_resume(page: Page):
     page.press("Resume")
     page.until(lambda: page.text("run-state") == "RUNNING")
