@@ -20,6 +20,7 @@ from concord.nodes.rules.set_membership import (
 from concord.nodes.rules.set_shapes import Shape
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filters import build_filter
+from concord.scenarios.labelled import check_labelled
 from concord.scenarios.node_context import RuleContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -45,6 +46,14 @@ def check_bounded(
         ValueError: naming what is in the way, and the cure.
     """
     _bounded_model(definition_of(scenario).model(scenario), scenario)
+
+
+def check_labelled_sets(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
+) -> None:
+    """Refuse a plant without bounds, and as `check_labelled`."""
+    check_bounded(scenario, neighbours, weights)
+    check_labelled(scenario, neighbours, weights)
 
 
 def baseline_filter(

@@ -121,7 +121,7 @@ def strips_of(taken: LinearReadings, gain: np.ndarray, reach: np.ndarray) -> Str
     size = _magnitude(taken, reach)
     bound = rounding_bound(sum(taken.noise.shape[-2:]) + reach.shape[-1])
     turns = np.abs(turned)
-    # What was subtracted is rounded too, though little may be left of it.
+    # The two parts of a difference are rounded too, though little may be left of them.
     turns[..., :count, :] += np.eye(count) + np.abs(taken.noise) @ np.abs(gain)
     half_widths = bound * multiply(turns, size) + multiply(np.abs(turned), taken.half_widths)
     # A gain that leaves the weakest noise out leaves it in the readings.
