@@ -38,7 +38,7 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "readings": (trace.readings, histories.readings[0], np.abs(trace.readings)),
         "payload_bytes": (trace.payload_bytes, histories.payload_bytes[0], _exact),
         "classes": (trace.classes, histories.classes[0], _exact),
-        "mean": (trace.mean, histories.mean[0], np.maximum(np.abs(trace.mean), sd)),
+        "mean": (trace.mean, histories.mean[0], scale_of_mean(setup, trace.mean, sd)),
         "cov": (trace.cov, histories.cov[0], scale_of_cov(setup, trace.mean, sd)),
         "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),
     }
@@ -72,9 +72,20 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
     return found
 
 
+def scale_of_mean(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Scale (..., n) of means, or of the centres of sets.
+
+    An exact reading hands the rounding of its largest state to each state of a set.
+    """
+    scale = np.maximum(np.abs(mean), sd)
+    if not is_set_valued(setup.scenario):
+        return scale
+    return np.broadcast_to(scale.max(-1, keepdims=True), scale.shape)
+
+
 def scale_of_cov(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Scale (..., n, n) of covariances with these standard deviations (..., n), or of shapes."""
-    least = np.maximum(np.abs(mean), sd) if is_set_valued(setup.scenario) else sd
+    least = scale_of_mean(setup, mean, sd) if is_set_valued(setup.scenario) else sd
     one = sd[..., :, None] * least[..., None, :]
     return np.maximum(one, np.swapaxes(one, -1, -2))
 

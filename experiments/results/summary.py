@@ -128,8 +128,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     central_rmse = float(rmse(of_central, (0,)))
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
-    counters = trace.counters
-    set_valued = is_set_valued(setup.scenario)
+    set_valued, counters = is_set_valued(setup.scenario), trace.counters
     contained = partial(_contained, trace) if set_valued else lambda _: None
     if set_valued:
         consistency = np.full_like(consistency, np.nan)

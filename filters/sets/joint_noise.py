@@ -117,6 +117,8 @@ def strips_of(taken: LinearReadings, gain: np.ndarray, reach: np.ndarray) -> Str
     """The exact readings and the strips for states with |x| <= reach (..., n), exact ones first."""
     count = taken.state.shape[-2]
     exact = np.eye(count) - taken.noise @ gain
+    # Readings that the gain uses up leave rounding, which says nothing.
+    exact *= np.abs(exact).max(-1, keepdims=True) > RANK_TOLERANCE
     turned = join_rows(exact, gain)
     size = _magnitude(taken, reach)
     bound = rounding_bound(sum(taken.noise.shape[-2:]) + reach.shape[-1])
