@@ -12,6 +12,8 @@ import numpy as np
 from concord.plants.bounded import BoundedSystem
 from concord.plants.draws import Draws, GeneratorFor
 
+_NO_NOISE = np.zeros(1)
+
 
 @dataclass(frozen=True, eq=False)
 class BoundedNetworkModel:
@@ -45,11 +47,10 @@ class OutputSensor:
     noise_bound: float
     gate: None = None
 
-    def strips(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row (1, n) and how far the reading may be off (1,) at this step."""
-        disturbance = self.system.scaled_feedthrough(step)[self.output]
-        row = self.system.output(step)[self.output]
-        return row[None], np.sqrt(disturbance @ disturbance)[None]
+    def bounded_rows(self, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return C (1, n), D (1, q) and 0 (1,): only the noise of the plant disturbs a reading."""
+        rows = [self.output]
+        return self.system.output(step)[rows], self.system.scaled_feedthrough(step)[rows], _NO_NOISE
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """State (..., n) to the undisturbed reading (..., 1)."""

@@ -53,7 +53,7 @@ from concord.scenarios.types.buses import (
     occupancy_of,
     urgency_classes_of,
 )
-from concord.scenarios.types.rules import MeasurementFlooding, latch_delay_of
+from concord.scenarios.types.rules import FloodingRule, latch_delay_of
 from concord.scenarios.user.bus import user_bus, user_frame_format
 from concord.scenarios.user.values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
@@ -264,7 +264,7 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
         return ONE_CLASS
     least, most = BIDS_FOR_CHANGE
     old_after = len(contenders)
-    if isinstance(scenario.rule, MeasurementFlooding):
+    if isinstance(scenario.rule, FloodingRule):
         least, most = bids_for_records(scenario.nodes)
         if lossy_links(scenario) and count >= _LEAST_CLASSES_BY_NEED:
             old_after *= _TURNS_BEFORE_OLD

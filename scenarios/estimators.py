@@ -20,6 +20,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.batch import AveragesInBatch, InBatch
 from concord.nodes.lanes.beliefs import BatchedBeliefs
+from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.labelled_check import BatchedSelfChecked
 from concord.nodes.lanes.labelled_past import BatchedSmoothing
 from concord.nodes.lanes.network import BatchedRule
@@ -28,6 +29,7 @@ from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
+from concord.nodes.rules.labelled import LabelledFlooding
 from concord.nodes.rules.labelled_check import SelfCheckedFlooding
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec
 from concord.nodes.rules.labelled_past import SmoothingFlooding
@@ -36,11 +38,12 @@ from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.nodes.rules.set_membership import SetAtNode
 from concord.nodes.rules.window_filter import WindowFilter
+from concord.nodes.rules.window_sets import WindowSets
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.labelled import choice_of, flooding_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
 from concord.scenarios.share_kinds import BELIEFS, ShareKind
-from concord.scenarios.types.rules import TrimmedCovarianceIntersection
+from concord.scenarios.types.rules import EllipsoidFlooding, TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
 BuildRule = Callable[[RuleContext], AnyRule]
@@ -151,9 +154,11 @@ def flooding(context: NodeContext) -> AnyEstimator:
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
-    smooth_steps = flooding_of(everybody.scenario).smooth_steps
-    if smooth_steps:
-        return SmoothingFlooding(**usual, smooth_steps=smooth_steps)
+    rule = flooding_of(everybody.scenario)
+    if isinstance(rule, EllipsoidFlooding):
+        return LabelledFlooding(**usual)
+    if rule.smooth_steps:
+        return SmoothingFlooding(**usual, smooth_steps=rule.smooth_steps)
     return SelfCheckedFlooding(**usual)
 
 
@@ -161,8 +166,9 @@ def _window_filter(
     everybody: Everybody, frames: LabelledFrameCodec, model: Model, filter: Filter
 ) -> WindowFilter:
     sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
-    withholds = flooding_of(everybody.scenario).withhold_below > 0
-    return WindowFilter(model, filter, sensors, frames.codecs, withholds)
+    rule = flooding_of(everybody.scenario)
+    kind = WindowSets if isinstance(rule, EllipsoidFlooding) else WindowFilter
+    return kind(model, filter, sensors, frames.codecs, rule.withhold_below > 0)
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------
@@ -221,7 +227,9 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
-    smooth_steps = flooding_of(everybody.scenario).smooth_steps
-    if smooth_steps:
-        return BatchedSmoothing(**usual, smooth_steps=smooth_steps)
+    rule = flooding_of(everybody.scenario)
+    if isinstance(rule, EllipsoidFlooding):
+        return BatchedFlooding(**usual)
+    if rule.smooth_steps:
+        return BatchedSmoothing(**usual, smooth_steps=rule.smooth_steps)
     return BatchedSelfChecked(**usual)

@@ -24,10 +24,9 @@ from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import DynamicSchedule, FlexRay, occupancy_of, trigger_of
-from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.rules import EllipsoidFlooding, MeasurementFlooding
 
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
-_CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.
 _LEAST_WINDOW_STEPS = 32
 _LOSSY_DIGEST_STEPS = 6
@@ -40,10 +39,16 @@ _LEAST_CONTENT_BYTES = 96
 _USUAL_PAYLOAD_BYTES = 254
 
 
-def flooding_of(scenario: Scenario) -> MeasurementFlooding:
+def flooding_of(scenario: Scenario) -> MeasurementFlooding | EllipsoidFlooding:
     """The rule of a scenario that floods measurements."""
-    assert isinstance(scenario.rule, MeasurementFlooding), "the table of rules chose this file"
-    return scenario.rule
+    rule = scenario.rule
+    assert isinstance(rule, MeasurementFlooding | EllipsoidFlooding), "the table of rules chose it"
+    return rule
+
+
+def _checkpoint_number(scenario: Scenario) -> str:
+    # A set must hold what was sent, so that its checkpoint is not rounded.
+    return "<f8" if isinstance(scenario.rule, EllipsoidFlooding) else "<f4"
 
 
 def frame_codec(
@@ -58,7 +63,7 @@ def frame_codec(
     number = RECORD_NUMBERS[flooding_of(scenario).record_number]
     return LabelledFrameCodec(
         [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
-        BeliefCodec(states, _CHECKPOINT_NUMBER),
+        BeliefCodec(states, _checkpoint_number(scenario)),
         window_of(scenario, neighbours),
         digest_of(scenario),
         largest_share(scenario, states),
@@ -83,7 +88,10 @@ def largest_share(scenario: Scenario, states: int) -> int:
     Raises:
         ValueError: it does not hold a checkpoint of so many states.
     """
-    form, checkpoint = frame_format(scenario), BeliefCodec(states, _CHECKPOINT_NUMBER).size
+    form, checkpoint = (
+        frame_format(scenario),
+        BeliefCodec(states, _checkpoint_number(scenario)).size,
+    )
     asked = flooding_of(scenario).payload_bytes
     most = _USUAL_PAYLOAD_BYTES if asked is None else asked
     limit = most - form.numbering_bytes

@@ -354,6 +354,16 @@ _RULES: dict[str, Rule] = {
         lacking=without_arrays,
         weighted=False,
     ),
+    "labelled-ellipsoid": Rule(
+        None,
+        flooding,
+        flooding_in_batch,
+        check=set_rules.check_labelled_sets,
+        set_valued=True,
+        baseline_filter=partial(set_rules.baseline_filter, Ellipsoids),
+        lacking=without_arrays,
+        weighted=False,
+    ),
     "local": _once(
         BELIEFS,
         partial(averaging, Directly(keep_own)),

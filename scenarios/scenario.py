@@ -14,7 +14,7 @@ from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option
 from concord.scenarios.types.options import ScenarioOptions
 from concord.scenarios.types.plants import PlantChoice
-from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding, RuleChoice
+from concord.scenarios.types.rules import CovarianceIntersection, FloodingRule, RuleChoice
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -150,7 +150,7 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
         return {**options, "schedule": usual}
     # Shares of records differ in length, and static slots are all as long as the longest.
     rule = options.get("rule", scenario.rule)
-    is_flooding = rule == "labelled" or isinstance(rule, MeasurementFlooding)
+    is_flooding = str(rule).startswith("labelled") or isinstance(rule, FloodingRule)
     return {**options, "schedule": "dynamic" if is_flooding else usual}
 
 

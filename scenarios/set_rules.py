@@ -1,22 +1,26 @@
 """The set-membership rules: how their estimators are built, and what frames them."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.sets.joint_noise import joined
 from concord.nodes.rules.lane_rule import LocalStep
-from concord.nodes.rules.local_filter import LocalFilters, SensorGroup
+from concord.nodes.rules.local_filter import LocalFilters
 from concord.nodes.rules.set_membership import (
     BoundedModel,
+    BoundedSensor,
     SetMembership,
     predict_sets,
-    take_strips,
+    readings_of,
+    take_readings,
 )
 from concord.nodes.rules.set_shapes import Shape
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filters import build_filter
+from concord.scenarios.labelled import check_labelled
 from concord.scenarios.node_context import RuleContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -44,6 +48,14 @@ def check_bounded(
     _bounded_model(definition_of(scenario).model(scenario), scenario)
 
 
+def check_labelled_sets(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
+) -> None:
+    """Refuse a plant without bounds, and as `check_labelled`."""
+    check_bounded(scenario, neighbours, weights)
+    check_labelled(scenario, neighbours, weights)
+
+
 def baseline_filter(
     make: MakeShape,
     setup: Setup,
@@ -54,24 +66,25 @@ def baseline_filter(
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
     definition = definition_of(setup.scenario)
     model = definition.model(setup.scenario)
-    gaussian = build_filter(setup.scenario.filter, len(setup.prior_mean))
-    groups = {
-        node: SensorGroup(slice(None), sensor)
-        for node in nodes
-        if (sensor := definition.sensor(setup.scenario, node)) is not None
-    }
+    filters = LocalFilters(model, (), build_filter(setup.scenario.filter, len(setup.prior_mean)))
+    sensors = [(node, definition.sensor(setup.scenario, node)) for node in nodes]
     shape = make(len(setup.prior_mean), "<f8")
     own = shape.containing(Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)))
-    bounds = []
+    joint, bounds = None, []
     for step, delivered in enumerate(readings):
         driven = None if control is None or step == 0 else control[step]
         if step > 0:
-            own = predict_sets(
-                shape, own, LocalStep(LocalFilters(model, (), gaussian), delivered[0], driven, step)
-            )
-        for node, group in groups.items():
-            filters = LocalFilters(model, (group,), gaussian)
-            own, _ = take_strips(shape, own, LocalStep(filters, delivered[node], driven, step))
+            now = LocalStep(filters, delivered[0], driven, step)
+            own = predict_sets(shape, own, now, joint)
+        seen = joined(
+            [
+                readings_of(cast(BoundedSensor, sensor), delivered[node], step)
+                for node, sensor in sensors
+                if sensor is not None
+            ]
+        )
+        motion = cast(BoundedModel, model).motion(step)
+        own, joint, _ = take_readings(shape, own, seen, motion)
         bounds.append(shape.bounds(own))
     return Gaussian(np.array([b.mean for b in bounds]), np.array([b.cov for b in bounds]))
 

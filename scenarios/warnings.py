@@ -27,9 +27,9 @@ from concord.scenarios.types.holds import Decayed, Raw
 from concord.scenarios.types.rules import (
     ClassicalHybridConsensus,
     DiffusionRule,
+    FloodingRule,
     InformationConsensus,
     KalmanConsensus,
-    MeasurementFlooding,
     TrimmedCovarianceIntersection,
     WeightedAverage,
     hold_of,
@@ -199,7 +199,7 @@ def _liars_in_between(setup: Setup) -> Iterator[str]:
 def _short_window(setup: Setup) -> Iterator[str]:
     """labelled: what comes after its window has passed is lost."""
     scenario = setup.scenario
-    if not isinstance(scenario.rule, MeasurementFlooding):
+    if not isinstance(scenario.rule, FloodingRule):
         return
     window = window_of(scenario, setup.neighbours)
     latency = latency_steps(scenario, setup.neighbours)
@@ -220,7 +220,7 @@ def _never_resent(setup: Setup) -> Iterator[str]:
     """labelled: without digests nobody learns what a link has lost."""
     scenario = setup.scenario
     lossy = lossy_links(scenario)
-    is_flooding = isinstance(scenario.rule, MeasurementFlooding)
+    is_flooding = isinstance(scenario.rule, FloodingRule)
     if is_flooding and lossy and digest_of(scenario) == 0:
         yield (
             f"rule labelled with {lossy} and no digests: a record that a link "
@@ -231,7 +231,7 @@ def _never_resent(setup: Setup) -> Iterator[str]:
 def _ideal_relay(setup: Setup) -> Iterator[str]:
     """Warn of the assumptions behind relaying within a cycle."""
     rule = setup.scenario.rule
-    if isinstance(rule, MeasurementFlooding) and rule.relay:
+    if isinstance(rule, FloodingRule) and rule.relay:
         yield (
             f"--relay: hosts must compose a frame within {rule.latch_delay_us:g} us of the one "
             "before; without --relay nothing of this is assumed"

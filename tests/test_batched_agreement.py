@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
+from concord.experiments.results.near_agreement import scale_of_cov, scale_of_mean
 from concord.experiments.results.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import in_memory
@@ -63,8 +64,8 @@ def check_run(histories: Histories, place: int, setup: Setup) -> None:
     near = partial(check_near, TOLERANCES["float32" if rounded else number])
     near(histories.truth[place], trace.truth, np.abs(trace.truth))
     near(histories.readings[place], trace.readings, np.abs(trace.readings))  # type: ignore[index]
-    near(histories.mean[place], trace.mean, np.maximum(np.abs(trace.mean), sd))
-    near(histories.cov[place], trace.cov, sd[..., :, None] * sd[..., None, :])
+    near(histories.mean[place], trace.mean, scale_of_mean(setup, trace.mean, sd))
+    near(histories.cov[place], trace.cov, scale_of_cov(setup, trace.mean, sd))
     if trace.control is not None:
         assert histories.control is not None
         near(histories.control[place], trace.control, np.abs(trace.control))

@@ -2,7 +2,8 @@
 
 Sums in another order differ in their last bits, so equality here means equality to 1e-10 of the
 scale. The scale of a mean is its size or its standard deviation. The scale of a covariance is the
-product of its standard deviations.
+product of its standard deviations. A set may be as narrow as the rounding of its centre. The scale
+of its shape is that product with one factor no smaller than the centre (`scale_of_cov`).
 """
 
 import numpy as np
@@ -11,6 +12,7 @@ from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.innovations import innovations_of_nodes
+from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
 
 TOLERANCE = 1e-10
@@ -36,8 +38,8 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "readings": (trace.readings, histories.readings[0], np.abs(trace.readings)),
         "payload_bytes": (trace.payload_bytes, histories.payload_bytes[0], _exact),
         "classes": (trace.classes, histories.classes[0], _exact),
-        "mean": (trace.mean, histories.mean[0], np.maximum(np.abs(trace.mean), sd)),
-        "cov": (trace.cov, histories.cov[0], sd[..., :, None] * sd[..., None, :]),
+        "mean": (trace.mean, histories.mean[0], scale_of_mean(setup, trace.mean, sd)),
+        "cov": (trace.cov, histories.cov[0], scale_of_cov(setup, trace.mean, sd)),
         "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),
     }
     if trace.suspect is not None and histories.suspect is not None:
@@ -68,6 +70,24 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         for name in ("innovation", "innovation_cov"):
             found.pop(name, None)
     return found
+
+
+def scale_of_mean(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Scale (..., n) of means, or of the centres of sets.
+
+    An exact reading hands the rounding of its largest state to each state of a set.
+    """
+    scale = np.maximum(np.abs(mean), sd)
+    if not is_set_valued(setup.scenario):
+        return scale
+    return np.broadcast_to(scale.max(-1, keepdims=True), scale.shape)
+
+
+def scale_of_cov(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Scale (..., n, n) of covariances with these standard deviations (..., n), or of shapes."""
+    least = scale_of_mean(setup, mean, sd) if is_set_valued(setup.scenario) else sd
+    one = sd[..., :, None] * least[..., None, :]
+    return np.maximum(one, np.swapaxes(one, -1, -2))
 
 
 _exact = np.zeros(())

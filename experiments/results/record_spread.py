@@ -16,7 +16,7 @@ from concord.nodes.rules.labelled import LabelledFlooding
 from concord.scenarios.build import build_node
 from concord.scenarios.links import link_state
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.rules import FloodingRule
 
 NEVER = -1
 
@@ -72,7 +72,7 @@ def record_spread(
 ) -> RecordSpread | None:
     """From what each node sent (node, fragment), and readings (steps, N, r, d); None for rules that
     send no records."""
-    if not isinstance(setup.scenario.rule, MeasurementFlooding):
+    if not isinstance(setup.scenario.rule, FloodingRule):
         return None
     config = build_node(setup, 0)
     estimator = config.estimator

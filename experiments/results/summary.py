@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -127,8 +128,8 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     central_rmse = float(rmse(of_central, (0,)))
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
-    counters = trace.counters
-    set_valued = is_set_valued(setup.scenario)
+    set_valued, counters = is_set_valued(setup.scenario), trace.counters
+    contained = partial(_contained, trace) if set_valued else lambda _: None
     if set_valued:
         consistency = np.full_like(consistency, np.nan)
     per_step = _consistency(network, trace.truth, score, first, (1,))
@@ -165,12 +166,12 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
                 heard=c.get("heard", 0),
                 missed=c.get("missed", 0),
                 rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
-                containment=_contained(set_valued, _of_nodes(network, i), trace.truth),
+                containment=contained(i),
             )
             for i, c in enumerate(counters)
         ],
-        containment=_contained(set_valued, _of_nodes(network, who), trace.truth),
-        containment_centralised=_contained(set_valued, central, trace.truth),
+        containment=contained(who),
+        containment_centralised=containment(central, trace.truth) if set_valued else None,
         anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
         spread=trace.spread and record_spread.figures_of(trace.spread),
         suspect=None if trace.suspect is None else trace.suspect.sum(axis=0).tolist(),
@@ -218,13 +219,14 @@ def _unless(set_valued: bool, anees_: np.ndarray) -> float:
     return float("nan") if set_valued else float(anees_)
 
 
-def _contained(set_valued: bool, bounds: Gaussian, truth: np.ndarray) -> Containment | None:
-    believed = set_valued and not np.isnan(bounds.mean).all()
-    return containment(bounds, truth) if believed else None
-
-
-def _of_nodes(network: Gaussian, which: int | slice | np.ndarray) -> Gaussian:
-    return Gaussian(network.mean[:, which], network.cov[:, which])
+def _contained(trace: Trace, who: int | slice | np.ndarray) -> Containment | None:
+    """Whether the sets of some nodes hold the truth; None for nodes that estimate nothing."""
+    mean, cov = trace.mean[:, who], trace.cov[:, who]
+    if np.isnan(mean).all():
+        return None
+    steps, nodes = trace.mean.shape[:2]
+    present = [[trace.history.is_in(i, k) for i in range(nodes)] for k in range(steps)]
+    return containment(Gaussian(mean, cov), trace.truth, np.array(present)[:, who])
 
 
 def _first_scored(score: Score, trace: Trace) -> int:
@@ -335,8 +337,7 @@ def opening(figures: Figures) -> list[str]:
             said.append(in_words(figures.labelled, figures.rmse_centralised, wire_bytes))
         return said
     held = figures.containment
-    number = figures.steps * sum(node.containment is not None for node in figures.nodes)
-    return [f"sets: {held.violations} of {number} do not hold the truth"]
+    return [f"sets: {held.violations} of {held.sets} do not hold the truth"]
 
 
 def lines(figures: Figures) -> list[str]:

@@ -124,20 +124,25 @@ def sum_factor(
 
 
 def moved(
-    ellipsoid: Ellipsoid, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
+    ellipsoid: Ellipsoid,
+    centre: np.ndarray,
+    transition: np.ndarray,
+    noise: np.ndarray,
+    margin: np.ndarray | float = 0.0,
 ) -> Ellipsoid:
     """The smallest ellipsoid, free of units, around where x' = A x + B v takes it, |v| <= 1.
 
     Args:
         ellipsoid: of x, factor (..., n, n).
         centre: (..., n), where the plant takes the centre, known inputs included.
-        transition: A (n, n). noise: B (n, q), scaled to the bound of the noise.
+        transition: A (..., n, n). noise: B (..., n, q), scaled to the bound of the noise.
+        margin: (..., n), half-widths of a box that comes to it.
     """
     spread = transition @ ellipsoid.factor
     reach = np.abs(ellipsoid.centre) + half_widths(ellipsoid)
     largest = magnitudes(transition, noise[..., None, :], reach) + np.abs(centre)
-    margin = rounding_bound(spread.shape[-1] + noise.shape[-1]) * largest
-    return grow(Ellipsoid(centre, sum_factor(spread, noise)), margin)
+    rounding = rounding_bound(spread.shape[-1] + noise.shape[-1]) * largest
+    return grow(Ellipsoid(centre, sum_factor(spread, noise)), rounding + margin)
 
 
 def grow(

@@ -39,14 +39,18 @@ def grown(zonotope: Zonotope, margin: np.ndarray) -> Zonotope:
 
 
 def moved(
-    zonotope: Zonotope, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
+    zonotope: Zonotope,
+    centre: np.ndarray,
+    transition: np.ndarray,
+    noise: np.ndarray,
+    margin: np.ndarray | float = 0.0,
 ) -> Zonotope:
     """Where x' = A x + B v takes it, |v| <= 1; arguments as `ellipsoid.moved`."""
     spread = transition @ zonotope.generators
     reach = np.abs(zonotope.centre) + half_widths(zonotope)
     largest = multiply(np.abs(transition), reach) + np.abs(noise).sum(-1) + np.abs(centre)
     rounding = rounding_bound(spread.shape[-1] + noise.shape[-1])
-    return grown(Zonotope(centre, join_columns(spread, noise)), rounding * largest)
+    return grown(Zonotope(centre, join_columns(spread, noise)), rounding * largest + margin)
 
 
 def reduced(zonotope: Zonotope, generators: int, criterion: Criterion = unit_free) -> Zonotope:

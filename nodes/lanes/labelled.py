@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.schedule import Schedule
-from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, pack_upper, unpack_upper
 from concord.nodes.bids import NO_BID
@@ -145,7 +144,8 @@ class BatchedFlooding:
             if codec is not None:
                 written[:, node], lengths[:, node] = codec.received(readings[:, node])
                 beyond[:, node] = codec.beyond(readings[:, node]) > 0
-        windows = self.filter.opened(content.windows, control)
+        oldest = flags_of(content.held[:, :, :1], self._nodes)[:, :, 0]
+        windows = self.filter.opened(content.windows, control, oldest)
         newest = np.array([self._window - 1])
         held, window_lengths = one_step_on(content.held), one_place_on(content.lengths, 1)
         held[:, :, -1] = packed(np.eye(self._nodes, dtype=bool) & (lengths > 0)[..., None])
@@ -302,7 +302,7 @@ class BatchedFlooding:
             lanes = (came.runs[some], self.links.receiver[came.links[some]])
             before = Gaussian(*(values[lanes] for values in base))
             other = Gaussian(*(values[came.lanes[some]] for values in shares.checkpoint))
-            fused = determinant_intersection(before, other)
+            fused = self.filter.fused(before, other)
             sound = finite_lanes(fused)
             same = sound & (fused.mean == before.mean).all(axis=-1)
             better = sound & ~same

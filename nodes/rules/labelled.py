@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.schedule import Schedule
-from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 from concord.nodes.estimator import Rejected
@@ -310,7 +309,7 @@ class LabelledFlooding:
         self, content: LabelledContent, checkpoint: Gaussian
     ) -> tuple[LabelledContent, list[str]]:
         windows = content.windows
-        base = determinant_intersection(windows.base, one_lane(checkpoint))
+        base = self.filter.fused(windows.base, one_lane(checkpoint))
         if not finite(base):
             return content, ["checkpoint-failed"]
         content = content._replace(needs=False)

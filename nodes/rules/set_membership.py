@@ -1,13 +1,15 @@
 """Set membership in the network: every node keeps a set that holds the truth for certain.
 
 A step carries the node's set and the held sets of its neighbours through the plant, under every
-noise that the bounds allow, and cuts with the node's readings. A round cuts with the neighbours'
+noise that the bounds allow, and cuts with the node's readings. Where the noise of a reading also
+drives the plant, the reading narrows the next set too (`concord.filters.sets.joint_noise`). A round
+cuts with the neighbours'
 shares. The truth lies in each of these sets, so it lies in their intersection. The rule needs no
 weights and cannot count a share twice. A lost share makes the set wider, but the set still holds
 the truth.
 
-A reading or a share that has nothing in common with the own set contradicts the bounds; it is
-counted and left out.
+Readings of a step, or a share, that have nothing in common with the own set contradict the bounds;
+they are counted and left out.
 """
 
 from dataclasses import dataclass
@@ -16,10 +18,20 @@ from typing import Generic, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import multiply
+from concord.filters.sets.joint_noise import (
+    JointMotion,
+    LinearReadings,
+    joint_motion,
+    no_joint_motion,
+    noise_gain,
+    strips_of,
+)
+from concord.filters.sets.rounding import rounding_bound
 from concord.nodes.bids import BID_RESOLUTION, FIRST_BID, NO_BID
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.lane_rule import Failures, LaneContent, LocalStep, Place, mapped, older
-from concord.nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
+from concord.nodes.rules.set_shapes import HeldSet, Shape, chosen_sets, relative_size
 
 
 @runtime_checkable
@@ -39,17 +51,25 @@ class BoundedModel(Protocol):
 class BoundedSensor(Protocol):
     """A node's model of its readings."""
 
-    def strips(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (m, n) and half-widths (m,): a reading (m,) is off by at most the half-widths."""
+    def bounded_rows(self, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """C (m, n), D (m, q) and half-widths (m,) of a reading y = C x + D v + w.
+
+        v is the noise that drives the plant, as in `BoundedModel.motion`; |w| <= half-widths is the
+        sensor's own.
+        """
         ...
 
 
 class OwnSet(NamedTuple, Generic[HeldSet]):
-    """The own set, and the one that was last sent, carried on to now; `known` (...) if one was."""
+    """The own set, and the one that was last sent, carried on to now; `known` (...) if one was.
+
+    `joint` is what the own readings of this step say of the noise that drives the plant on.
+    """
 
     kept: HeldSet
     published: HeldSet
     known: np.ndarray
+    joint: JointMotion
 
 
 class HeldSets(NamedTuple, Generic[HeldSet]):
@@ -61,6 +81,8 @@ class HeldSets(NamedTuple, Generic[HeldSet]):
 
 
 _ROUNDING = 1e-9
+# Half-widths, relative to the state, that no bid tells from 0.
+_NEGLIGIBLE = 2.0**-24
 
 SetContent = LaneContent[OwnSet[HeldSet], HeldSets[HeldSet]]
 
@@ -81,9 +103,10 @@ class SetMembership(Generic[HeldSet]):
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> SetContent[HeldSet]:
         """The prior, and nothing held."""
         own = self.shape.containing(prior)
-        lanes = held.mean.shape[:-1]
+        lanes, (*nodes, n) = held.mean.shape[:-1], prior.mean.shape
+        unread = no_joint_motion(tuple(nodes), n)
         return LaneContent(
-            OwnSet(own, own, np.zeros(prior.mean.shape[:-1], dtype=bool)),
+            OwnSet(own, own, np.zeros(nodes, dtype=bool), unread),
             HeldSets(self.shape.containing(held), np.zeros(lanes, dtype=bool), np.full(lanes, -1)),
             0,
         )
@@ -94,23 +117,25 @@ class SetMembership(Generic[HeldSet]):
         """Carry every set to this step and cut the own one with the readings."""
         own, held = content.own, content.held
         if now.step > 0:
-            own = own._replace(kept=predict_sets(self.shape, own.kept, now))
+            own = own._replace(kept=predict_sets(self.shape, own.kept, now, own.joint))
             if self.contends and own.known.any():
                 own = own._replace(published=predict_sets(self.shape, own.published, now))
             if held.known.any():
                 held = held._replace(sets=predict_sets(self.shape, held.sets, now))
-        kept, failures = take_strips(self.shape, own.kept, now)
-        return LaneContent(own._replace(kept=kept), held, 0), failures
+        kept, joint, failures = take_own_readings(self.shape, own.kept, now)
+        return LaneContent(own._replace(kept=kept, joint=joint), held, 0), failures
 
     def bid(self, content: SetContent[HeldSet]) -> np.ndarray:
         """How much smaller the own set is than what neighbours hold of it, quantised.
 
-        The relative excess of their size, an integer, so that arbitration does not hang on the last
-        bit; a node that has never published asks most urgently. `NO_BID` where the excess is below
-        the trigger.
+        The excess of their size relative to the own (`relative_size`), an integer, so that
+        arbitration does not hang on the last bit; a node that has never published asks most
+        urgently. `NO_BID` where the excess is below the trigger.
         """
-        own = content.own
-        excess = self.shape.size(own.published) / self.shape.size(own.kept) - 1.0
+        own, widths = content.own, self.shape.half_widths
+        # Two sets as narrow as rounding are alike, in every driver.
+        least = _NEGLIGIBLE * np.abs(self.shape.centres(own.kept))
+        excess = relative_size(widths(own.published) + least, widths(own.kept) + least) - 1.0
         urgency = np.clip(np.maximum(excess, 0.0) / BID_RESOLUTION, 0, FIRST_BID - 1)
         # A set that has not changed has an excess of 0 but for rounding.
         bids = np.where(excess < self.trigger - _ROUNDING, NO_BID, urgency.astype(np.int64))
@@ -124,7 +149,7 @@ class SetMembership(Generic[HeldSet]):
         """The node remembers what its neighbours now hold of it."""
         own = content.own
         published = chosen_sets(sends, own.kept, own.published)
-        return content._replace(own=OwnSet(own.kept, published, own.known | sends))
+        return content._replace(own=own._replace(published=published, known=own.known | sends))
 
     def read(self, numbers: np.ndarray) -> tuple[HeldSet, np.ndarray, str]:
         """Sets around those that were said."""
@@ -180,30 +205,82 @@ def _neighbour(sets: HeldSet, place: int, lanes: int) -> HeldSet:
     return mapped(lambda values: np.take(values, place, axis=lanes - 1), sets)
 
 
-def predict_sets(shape: Shape[HeldSet], sets: HeldSet, now: LocalStep) -> HeldSet:
-    """Sets of the step before, at this one."""
+def predict_sets(
+    shape: Shape[HeldSet], sets: HeldSet, now: LocalStep, joint: JointMotion | None = None
+) -> HeldSet:
+    """Sets of the step before, at this one.
+
+    `joint` is what their readings said of the noise since, in the lanes that had any: it is used
+    where it leaves the smaller set.
+    """
     model, step = cast(BoundedModel, now.filters.model), now.step - 1
-    centres = model.transition(shape.centres(sets), now.control, step)
-    return shape.moved(sets, centres, *model.motion(step))
+    centres = shape.centres(sets)
+    transition, noise = model.motion(step)
+    plain = shape.moved(sets, model.transition(centres, now.control, step), transition, noise)
+    if joint is None or not joint.known.any():
+        return plain
+    there = mapped(lambda values: np.where(np.isnan(values), 0.0, values), joint)
+    driven = model.transition(np.zeros_like(centres), now.control, step)
+    moved = multiply(there.transition, centres) + there.offset + driven
+    margin = there.margin + rounding_bound(4) * np.abs(driven)
+    narrowed = shape.moved(sets, moved, there.transition, there.noise, margin)
+    left = relative_size(shape.half_widths(narrowed), shape.half_widths(plain))
+    return chosen_sets(joint.known & (left < 1.0 - _ROUNDING), narrowed, plain)
 
 
-def take_strips(shape: Shape[HeldSet], own: HeldSet, now: LocalStep) -> tuple[HeldSet, Failures]:
-    """The own sets after the readings, one number after the other, and what went wrong."""
-    wrong = np.zeros(shape.centres(own).shape[:-1], dtype=np.int64)
+def take_readings(
+    shape: Shape[HeldSet],
+    own: HeldSet,
+    readings: LinearReadings,
+    motion: tuple[np.ndarray, np.ndarray],
+) -> tuple[HeldSet, JointMotion, np.ndarray]:
+    """Sets (...) after the readings of a step, the motion that these leave, and contradictions.
+
+    Readings of a lane that contradict the bounds are left out together (bool, (...)).
+    """
+    taken = readings.taken()
+    widths = shape.half_widths(own)
+    gain = noise_gain(taken, widths)
+    strips = strips_of(taken, gain, np.abs(shape.centres(own)) + widths)
+    kept, sound = own, np.ones(widths.shape[:-1], dtype=bool)
+    for place in range(strips.rows.shape[-2]):
+        row = strips.rows[..., place, :]
+        if row.any():
+            cut, meets = shape.cut(
+                kept, row, strips.values[..., place], strips.half_widths[..., place]
+            )
+            kept, sound = chosen_sets(meets, cut, kept), sound & meets
+    kept = chosen_sets(sound, kept, own)
+    reach = np.abs(shape.centres(kept)) + shape.half_widths(kept)
+    joint = joint_motion(taken, gain, reach, *motion)
+    used = sound & ~np.isnan(readings.values).all(axis=-1)
+    return kept, joint.where(used), ~sound
+
+
+def take_own_readings(
+    shape: Shape[HeldSet], own: HeldSet, now: LocalStep
+) -> tuple[HeldSet, JointMotion, Failures]:
+    """The own sets after the readings of their step, as `take_readings`."""
+    lanes, n = shape.centres(own).shape[:-1], shape.centres(own).shape[-1]
+    wrong, joint = np.zeros(lanes, dtype=bool), no_joint_motion(lanes, n)
+    motion = cast(BoundedModel, now.filters.model).motion(now.step)
     for group in now.filters.groups:
-        rows, half_widths = cast(BoundedSensor, group.sensor).strips(now.step)
-        kept, readings, missed = mapped(group.of, own), group.of(now.readings), group.of(wrong)
-        for number in range(readings.shape[-2]):
-            values = np.moveaxis(readings[..., number, :], -1, 0)
-            for row, value, half_width in zip(rows, values, half_widths, strict=True):
-                taken = ~np.isnan(value)
-                if not taken.any():
-                    continue
-                # A lane without a reading is cut by its own centre.
-                centre = (shape.centres(kept) * row).sum(axis=-1)
-                both, meets = shape.cut(kept, row, np.where(taken, value, centre), half_width)
-                kept = chosen_sets(taken & meets, both, kept)
-                missed = missed + (taken & ~meets)
-        own = mapped(group.put, own, kept)
-        wrong = group.put(wrong, missed)
-    return own, {"contradicting-reading": wrong}
+        readings = group.of(now.readings)
+        if not readings.size or np.isnan(readings).all():
+            continue
+        seen = readings_of(cast(BoundedSensor, group.sensor), readings, now.step)
+        kept, moves, missed = take_readings(shape, mapped(group.of, own), seen, motion)
+        own, wrong = mapped(group.put, own, kept), group.put(wrong, missed)
+        joint = mapped(group.put, joint, moves)
+    return own, joint, {"contradicting-reading": wrong}
+
+
+def readings_of(sensor: BoundedSensor, readings: np.ndarray, step: int) -> LinearReadings:
+    """Readings (..., r, d) of one sensor, of r m numbers in a lane."""
+    state, noise, half_widths = sensor.bounded_rows(step)
+    count, several = len(half_widths), readings.shape[-2]
+    values = readings[..., :count].reshape(*readings.shape[:-2], several * count)
+    rows = (several, 1)
+    return LinearReadings(
+        np.tile(state, rows), np.tile(noise, rows), np.tile(half_widths, several), values
+    )

@@ -12,6 +12,7 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 from concord.filters.sets import ellipsoid, zonotope
+from concord.filters.sets.criterion import unit_free
 from concord.filters.sets.ellipsoid import Ellipsoid
 from concord.filters.sets.ellipsoid_intersection import intersection, strip_intersection
 from concord.filters.sets.rounding import rounding_bound
@@ -35,17 +36,29 @@ class Shape(Protocol[HeldSet]):
         """Their centres (..., n)."""
         ...
 
+    def half_widths(self, sets: HeldSet) -> np.ndarray:
+        """Their half-widths (..., n) along each state."""
+        ...
+
     def moved(
-        self, sets: HeldSet, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+        self,
+        sets: HeldSet,
+        centres: np.ndarray,
+        transition: np.ndarray,
+        noise: np.ndarray,
+        margin: np.ndarray | float = 0.0,
     ) -> HeldSet:
-        """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (..., n)."""
+        """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (..., n).
+
+        They grow by a box of half-widths `margin` (..., n).
+        """
         ...
 
     def cut(
-        self, own: HeldSet, row: np.ndarray, value: np.ndarray, half_width: float
+        self, own: HeldSet, row: np.ndarray, value: np.ndarray, half_width: np.ndarray
     ) -> tuple[HeldSet, np.ndarray]:
-        """Around own and |value - row x| <= half_width; False (...) where they have nothing in
-        common, and the set is anything."""
+        """Around own and |value - row x| <= half_width, row (..., n); False (...) where they have
+        nothing in common, and the set is anything."""
         ...
 
     def meet(self, own: HeldSet, other: HeldSet) -> tuple[HeldSet, np.ndarray]:
@@ -58,10 +71,6 @@ class Shape(Protocol[HeldSet]):
 
     def generators_of(self, own: HeldSet) -> np.ndarray | None:
         """The generators (n, q) of one zonotope; None of another shape."""
-        ...
-
-    def size(self, own: HeldSet) -> np.ndarray:
-        """Sum of the squared half-widths (...)."""
         ...
 
     def numbers_of(self, own: HeldSet) -> np.ndarray:
@@ -86,6 +95,14 @@ def chosen_sets(chosen: np.ndarray, one: HeldSet, other: HeldSet) -> HeldSet:
     return mapped(pick, one, other)
 
 
+def relative_size(widths: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Mean square (...) of half-widths (..., n), each relative to that of another set.
+
+    No unit of a state changes it.
+    """
+    return ((unit_free(beside) * widths) ** 2).mean(axis=-1)
+
+
 @dataclass(frozen=True)
 class Ellipsoids:
     """Sets of `states` dimensions as centre and shape matrix, on a wire of `number`."""
@@ -101,17 +118,26 @@ class Ellipsoids:
         """Their centres."""
         return sets.centre
 
+    def half_widths(self, sets: Ellipsoid) -> np.ndarray:
+        """The roots of the diagonals of their shape matrices."""
+        return ellipsoid.half_widths(sets)
+
     def moved(
-        self, sets: Ellipsoid, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+        self,
+        sets: Ellipsoid,
+        centres: np.ndarray,
+        transition: np.ndarray,
+        noise: np.ndarray,
+        margin: np.ndarray | float = 0.0,
     ) -> Ellipsoid:
         """The ellipsoids of least trace."""
-        return ellipsoid.moved(sets, centres, transition, noise)
+        return ellipsoid.moved(sets, centres, transition, noise, margin)
 
     def cut(
-        self, own: Ellipsoid, row: np.ndarray, value: np.ndarray, half_width: float
+        self, own: Ellipsoid, row: np.ndarray, value: np.ndarray, half_width: np.ndarray
     ) -> tuple[Ellipsoid, np.ndarray]:
         """The ellipsoid of least trace around both."""
-        return _found(strip_intersection(own, row, value, np.asarray(half_width)))
+        return _found(strip_intersection(own, row, value, half_width))
 
     def meet(self, own: Ellipsoid, other: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
         """The ellipsoid of least trace around both."""
@@ -123,10 +149,6 @@ class Ellipsoids:
 
     def generators_of(self, own: Ellipsoid) -> None:
         """It has none."""
-
-    def size(self, own: Ellipsoid) -> np.ndarray:
-        """The trace of the shape matrix."""
-        return (own.factor**2).sum(axis=(-2, -1))
 
     def numbers_of(self, own: Ellipsoid) -> np.ndarray:
         """Centre and shape matrix, grown by what they lose in this number format."""
@@ -165,14 +187,23 @@ class Zonotopes:
     def _reduced(self, own: Zonotope) -> Zonotope:
         return zonotope.reduced_to(own, self.generators)
 
+    def half_widths(self, sets: Zonotope) -> np.ndarray:
+        """The half-widths of the boxes around them."""
+        return zonotope.half_widths(sets)
+
     def moved(
-        self, sets: Zonotope, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+        self,
+        sets: Zonotope,
+        centres: np.ndarray,
+        transition: np.ndarray,
+        noise: np.ndarray,
+        margin: np.ndarray | float = 0.0,
     ) -> Zonotope:
         """The sums, reduced."""
-        return self._reduced(zonotope.moved(sets, centres, transition, noise))
+        return self._reduced(zonotope.moved(sets, centres, transition, noise, margin))
 
     def cut(
-        self, own: Zonotope, row: np.ndarray, value: np.ndarray, half_width: float
+        self, own: Zonotope, row: np.ndarray, value: np.ndarray, half_width: np.ndarray
     ) -> tuple[Zonotope, np.ndarray]:
         """Around both; False where the strip misses the zonotope."""
         seen = np.abs((row[..., None] * own.generators).sum(axis=-2)).sum(axis=-1) + half_width
@@ -180,7 +211,7 @@ class Zonotopes:
         reach = (np.abs(row) * extent).sum(axis=-1) + np.abs(value)
         missed = np.abs(value - (row * own.centre).sum(axis=-1))
         meets = missed <= seen + rounding_bound(self.generators) * reach
-        both = zonotope.strip_intersection(own, row, value, np.asarray(half_width))
+        both = zonotope.strip_intersection(own, row, value, half_width)
         return self._reduced(both), meets
 
     def meet(self, own: Zonotope, other: Zonotope) -> tuple[Zonotope, np.ndarray]:
@@ -199,10 +230,6 @@ class Zonotopes:
     def generators_of(self, own: Zonotope) -> np.ndarray:
         """Its own, but for those that are zero."""
         return own.generators[:, own.generators.any(axis=0)]
-
-    def size(self, own: Zonotope) -> np.ndarray:
-        """Sum of the squared half-widths."""
-        return (zonotope.half_widths(own) ** 2).sum(axis=-1)
 
     def numbers_of(self, own: Zonotope) -> np.ndarray:
         """A parallelotope around it."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.filter import Filter
+from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
 from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
@@ -104,8 +105,11 @@ class WindowFilter:
         values, right = np.full_like(windows.values, np.nan), np.zeros_like(windows.right)
         return self.filtered(windows._replace(base=prior, values=values, right=right))[0]
 
-    def opened(self, windows: Windows, control: np.ndarray | None) -> Windows:
-        """With one step more, and the oldest in the base where the window is full."""
+    def opened(
+        self, windows: Windows, control: np.ndarray | None, held: np.ndarray | None = None
+    ) -> Windows:
+        """With one step more, and the oldest, of which lanes hold records `held` (R, M, N) or all,
+        in the base where the window is full."""
         base, (mean, cov), belief = windows.base, windows.posteriors, windows.beliefs
         if windows.step >= windows.first_step and windows.first == 0:
             base = Gaussian(mean[:, :, 0].copy(), cov[:, :, 0].copy())
@@ -132,6 +136,10 @@ class WindowFilter:
         values[:, places] = np.where(taken, new, values[:, places])
         noise_covs[:, places] = np.where(np.expand_dims(taken, -1), covs, noise_covs[:, places])
         return windows._replace(values=values, noise_covs=noise_covs)
+
+    def fused(self, base: Gaussian, checkpoint: Gaussian) -> Gaussian:
+        """Return bases (..., n) fused with checkpoints, which may tell the same."""
+        return determinant_intersection(base, checkpoint)
 
     def predicted(self, windows: Windows, control: np.ndarray | None) -> Carried:
         """The newest posteriors (R, M) one step later, and where that went well."""
@@ -160,10 +168,9 @@ class WindowFilter:
         }
         for place in range(int(begin.min()), len(windows.controls)):
             runs, lanes = np.nonzero(begin <= place)
-            belief, moved = self._carried(windows, posteriors, place, runs, lanes)
-            belief, updated, *told = self._updated(
-                windows, place, runs, belief, held[runs, lanes, place]
-            )
+            own = held[runs, lanes]
+            belief, moved = self._carried(windows, posteriors, place, runs, lanes, own)
+            belief, updated, *told = self._updated(windows, place, runs, belief, own[:, place])
             surprise[runs, lanes, place], entries[runs, lanes, place] = told
             for values, found in zip(posteriors, belief, strict=True):
                 values[runs, lanes, place] = found
@@ -183,8 +190,9 @@ class WindowFilter:
         place: int,
         runs: np.ndarray,
         lanes: np.ndarray,
+        held: np.ndarray,
     ) -> tuple[Gaussian, np.ndarray]:
-        """Beliefs (L, n) of the step before a place, at its step, and which could be carried."""
+        """Beliefs (L, n) at a place by those of the one before, and which could be carried."""
         if place == windows.first:
             belief = Gaussian(windows.base.mean[runs, lanes], windows.base.cov[runs, lanes])
         else:

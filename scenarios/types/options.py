@@ -54,12 +54,12 @@ class ScenarioOptions(TypedDict, total=False):
     digest_steps: int | None
     repeat_above: float
     repeat_bytes: int
-    gate_probability: float
-    withhold_below: float
-    record_number: RECORD_NUMBER
     payload_bytes: int | None
     relay: bool
     latch_delay_us: float
+    gate_probability: float
+    withhold_below: float
+    record_number: RECORD_NUMBER
     smooth_steps: int
     bid_weights: str
     rounds: int
@@ -121,12 +121,12 @@ class SweptOptions(TypedDict, total=False):
     digest_steps: Sequence[int | None] | np.ndarray | int | None
     repeat_above: Sequence[float] | np.ndarray | float
     repeat_bytes: Sequence[int] | np.ndarray | int
-    gate_probability: Sequence[float] | np.ndarray | float
-    withhold_below: Sequence[float] | np.ndarray | float
-    record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     payload_bytes: Sequence[int | None] | np.ndarray | int | None
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
+    gate_probability: Sequence[float] | np.ndarray | float
+    withhold_below: Sequence[float] | np.ndarray | float
+    record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     smooth_steps: Sequence[int] | np.ndarray | int
     bid_weights: Sequence[str] | np.ndarray | str
     rounds: Sequence[int] | np.ndarray | int

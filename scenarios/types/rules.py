@@ -1,6 +1,6 @@
 """Fusion rules as values: which rule the nodes use, with the rule's own options."""
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 from concord.scenarios.types.holds import (
     BeliefHold,
@@ -99,8 +99,8 @@ class ZonotopeIntersection(SetRule, frozen=True, kw_only=True, tag="zonotope"):
     """ellipsoid with zonotopes: tighter prediction, wider shares; needs bounded noise."""
 
 
-class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled"):
-    """Measurements with labels, each counted once: near centralised in a fraction of the bytes."""
+class FloodingRule(FusionRule, frozen=True, kw_only=True):
+    """A rule whose shares are labelled measurements."""
 
     window_steps: Annotated[
         int | None,
@@ -122,20 +122,6 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
         Option("Most bytes of repeated records in a share.", unit="bytes", at_least=0,
                at_most=254),
     ] = 48  # fmt: skip
-    gate_probability: Annotated[
-        float,
-        Option("Do not pass on own readings that are less likely than this; 0 passes all on.",
-               at_least=0, below=1),
-    ] = 0.0  # fmt: skip
-    withhold_below: Annotated[
-        float,
-        Option("Do not pass on own readings of a step that change the node's prediction by a "
-               "Kullback-Leibler divergence below this; 0 passes all on.", unit="nats",
-               at_least=0),
-    ] = 0.0  # fmt: skip
-    record_number: Annotated[
-        Literal["int16", "float32", "float64"], Option("Format of readings on the wire.")
-    ] = "int16"
     payload_bytes: Annotated[
         int | None,
         Option("Longest payload of a frame; when left out 254, or where nodes own static slots "
@@ -150,11 +136,40 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
         Option("Time of a host to relay, from the last bit of a frame to the first of its own.",
                unit="us", at_least=0, needs="relay"),
     ] = 5.0  # fmt: skip
+
+
+class MeasurementFlooding(FloodingRule, frozen=True, kw_only=True, tag="labelled"):
+    """Measurements with labels, each counted once: near centralised in a fraction of the bytes."""
+
+    gate_probability: Annotated[
+        float,
+        Option("Do not pass on own readings that are less likely than this; 0 passes all on.",
+               at_least=0, below=1),
+    ] = 0.0  # fmt: skip
+    withhold_below: Annotated[
+        float,
+        Option("Do not pass on own readings of a step that change the node's prediction by a "
+               "Kullback-Leibler divergence below this; 0 passes all on.", unit="nats",
+               at_least=0),
+    ] = 0.0  # fmt: skip
+    record_number: Annotated[
+        Literal["int16", "float32", "float64"], Option("Format of readings on the wire.")
+    ] = "int16"
     smooth_steps: Annotated[
         int,
         Option("Also estimate the states of up to so many steps ago, with all records since.",
                unit="steps", at_least=0),
     ] = 0  # fmt: skip
+
+
+class EllipsoidFlooding(FloodingRule, frozen=True, kw_only=True, tag="labelled-ellipsoid"):
+    """labelled with ellipsoids that hold the truth for certain; needs bounded noise."""
+
+    # A set takes a reading for exact, and has no probability by which to refuse one.
+    gate_probability: ClassVar[float] = 0.0
+    withhold_below: ClassVar[float] = 0.0
+    record_number: ClassVar[str] = "float64"
+    smooth_steps: ClassVar[int] = 0
 
 
 class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
@@ -191,6 +206,7 @@ RuleChoice = (
     | DiffusionRule
     | KalmanConsensus
     | MeasurementFlooding
+    | EllipsoidFlooding
     | LocalRule
     | CentralisedRule
     | EllipsoidIntersection
@@ -213,7 +229,7 @@ def hold_of(rule: FusionRule) -> Hold | None:
 
 def latch_delay_of(rule: FusionRule) -> float | None:
     """Return the time that a host needs to relay, in us; None for a rule that does not relay."""
-    if isinstance(rule, MeasurementFlooding) and rule.relay:
+    if isinstance(rule, FloodingRule) and rule.relay:
         return rule.latch_delay_us
     return None
 
@@ -223,6 +239,6 @@ def number_of(rule: FusionRule) -> str:
     match rule:
         case NumberRule():
             return rule.number
-        case MeasurementFlooding():
+        case MeasurementFlooding() | EllipsoidFlooding():
             return rule.record_number
     return "float64"

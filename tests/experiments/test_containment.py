@@ -17,10 +17,20 @@ def test_outside_and_undefined_sets_are_violations_and_unknown_truth_is_not():
     cov[2] = -np.eye(2)
     held = containment(Gaussian(np.zeros((4, 2)), cov), truth)
     assert held.violations == 2
+    assert held.sets == 3
     first = containment(Gaussian(np.zeros((2, 3, 2)), np.eye(2) * np.ones((2, 3, 1, 1))), truth[:2])
     assert first.violations == 3
     assert first.largest == pytest.approx(4.0)
     assert first.half_width == pytest.approx(np.sqrt(2.0))
+
+
+def test_a_node_that_is_out_keeps_no_set_and_one_that_lost_its_set_does():
+    truth, cov = np.zeros((2, 2)), np.broadcast_to(np.eye(2), (2, 3, 2, 2))
+    mean = np.zeros((2, 3, 2))
+    mean[1, 1:] = np.nan
+    kept = np.array([[True, True, True], [True, True, False]])
+    found = containment(Gaussian(mean, cov), truth, kept)
+    assert (found.violations, found.sets) == (1, 5)
 
 
 def test_a_run_says_containment_instead_of_anees(tmp_path: Path, capsys):

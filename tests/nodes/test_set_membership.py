@@ -108,8 +108,8 @@ class Still:
 class First:
     """The first state, within 0.1."""
 
-    def strips(self, step):
-        return np.array([[1.0, 0.0]]), np.array([0.1])
+    def bounded_rows(self, step):
+        return np.array([[1.0, 0.0]]), np.zeros((1, 2)), np.array([0.1])
 
 
 def one_node(shape, **changes) -> SetAtNode:
@@ -206,3 +206,18 @@ def test_a_bid_is_how_much_there_is_to_tell(shape):
     urgent = node.bid(content)
     assert urgent is not None
     assert 0 < urgent < FIRST_BID
+
+
+@SHAPES
+@given(powers=st.tuples(st.integers(-20, 20), st.integers(-20, 20)), seed=st.integers(0, 99))
+def test_a_bid_does_not_depend_on_the_units_of_the_states(shape, powers, seed: int):
+    units, rng = 2.0 ** np.array(powers), np.random.default_rng(seed)
+    bids = []
+    factors = rng.standard_normal((2, 2, 2))
+    for unit in (np.ones(2), units):
+        rule = SetMembership(shape)
+        prior, kept = (Gaussian(np.zeros(2), unit[:, None] * one @ one.T * unit) for one in factors)
+        content = rule.sent(rule.start(np.array(0), prior, prior), np.array(True))
+        own = content.own._replace(kept=shape.containing(kept))
+        bids.append(int(rule.bid(content._replace(own=own))))
+    assert bids[0] == bids[1]

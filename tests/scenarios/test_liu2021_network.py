@@ -35,15 +35,16 @@ def test_sensors_state_their_bounds():
     for node in range(4):
         sensor = network.sensor(node)
         for step in range(50):
-            rows, half_widths = sensor.strips(step)
-            assert half_widths[0] <= sensor.noise_bound * (1 + 1e-12)
+            rows, noise, half_widths = sensor.bounded_rows(step)
+            assert abs(noise[0, 0]) <= sensor.noise_bound * (1 + 1e-12)
+            assert half_widths.tolist() == [0.0]
             state = np.ones(4)
             exact = sensor.measure(state, step)
             np.testing.assert_allclose(rows @ state, exact)
             ends = [
                 liu2021.SYSTEM.observe(state, np.array([end]), step)[node] for end in (-1.0, 1.0)
             ]
-            np.testing.assert_allclose(np.abs(ends - exact), half_widths[0])
+            np.testing.assert_allclose(ends - exact, noise[0, 0] * np.array([-1.0, 1.0]))
 
 
 def test_matched_noise_is_on_the_bound_and_printed_noise_is_printed():
