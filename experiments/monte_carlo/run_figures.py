@@ -154,9 +154,12 @@ def _bus(
         return dict.fromkeys(names, np.full(runs, np.nan))
     cycles = np.arange(steps * rounds) % bus.schedule.period
     sent = (one.reshape(-1, nodes) for one in (payload, classes))
-    rows = np.column_stack((np.tile(cycles, runs), *sent))
+    largest = max(int(one.max(initial=0)) for one in (cycles, payload, classes))
+    # Narrow rows are compared faster; no entry is negative.
+    kind = np.int16 if largest < 2**15 else np.int64
+    rows = np.column_stack([one.astype(kind) for one in (np.tile(cycles, runs), *sent)])
     # The same frames in the same cycle of the schedule take the same time.
-    kinds, which = np.unique(rows, axis=0, return_inverse=True)
+    kinds, which = _distinct(rows)
     load, delay_us = np.empty(len(kinds)), np.empty(len(kinds))
     for number, (cycle, *sizes_and_classes) in enumerate(kinds.tolist()):
         frames = bus.transmissions(cycle, sizes_and_classes[:nodes], sizes_and_classes[nodes:])
@@ -174,6 +177,16 @@ def _bus(
         "delay_us": last.mean(axis=1),
         "share_age_all": mean_of_known(np.where(passed < 0, np.nan, passed), (1,)),
     }
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distinct rows (K, c) of (rows, c), and which of them each row is (rows,)."""
+    # Sorting the rows takes a hundred times as long.
+    rows = np.ascontiguousarray(rows)
+    whole = rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
+    places: dict[bytes, int] = {}
+    which = np.array([places.setdefault(row, len(places)) for row in whole])
+    return np.frombuffer(b"".join(places), rows.dtype).reshape(-1, rows.shape[1]), which
 
 
 def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:
