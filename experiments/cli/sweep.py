@@ -201,9 +201,7 @@ def _show_shard(swept: Swept, begun: Begin, as_json: bool) -> None:
     )
 
 
-def _show(
-    dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool, out: Path
-) -> None:
+def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool, out: Path) -> None:
     figures = figures_of(dataset, interval)
     spreads = over_placements(figures)
     took: dict[str, Any] = {

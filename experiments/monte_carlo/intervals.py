@@ -106,9 +106,7 @@ METHODS: dict[str, IntervalMethod] = {
 }
 
 
-def on_log_scale(
-    middle: float, count: int, deviation: float, confidence: float = 0.95
-) -> Interval:
+def on_log_scale(middle: float, count: int, deviation: float, confidence: float = 0.95) -> Interval:
     """Return the interval of a figure of so many runs, whose logarithm is linearised as the mean
     of values with this standard deviation."""
     grown = np.exp(_half_width(count, deviation, confidence))

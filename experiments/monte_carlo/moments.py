@@ -24,7 +24,7 @@ QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 # square needs it.
 STATISTICS = ("count", "mean", "std", "rms", "spread", "least", "greatest",
               *(f"q{100 * part:02.0f}" for part in QUANTILES))  # fmt: skip
-# Figures and what each is compared with in the same run.
+# FigureArrays and what each is compared with in the same run.
 PAIRS = {
     "rmse_to_centralised": ("rmse", "rmse_centralised"),
     "worst_node_to_centralised": ("rmse_worst_node", "rmse_centralised"),
@@ -44,10 +44,10 @@ _POWERS, _PAIR_SUMS = 3, 7
 # Fourth powers of larger numbers are infinite, so these numbers count as infinite too.
 LARGEST = 2.0**240
 
-Figures = Mapping[str, np.ndarray]
+FigureArrays = Mapping[str, np.ndarray]
 
 
-class Columns(NamedTuple):
+class ReducedColumns(NamedTuple):
     """The figures that are reduced, and the shape of each without the axis of the runs."""
 
     shapes: dict[str, tuple[int, ...]]
@@ -63,7 +63,7 @@ class Columns(NamedTuple):
         return [name for name in self.shapes if FIGURES[name].dimensions == ("run",)]
 
 
-def reduced(figures: Figures, names: Sequence[str]) -> dict[str, np.ndarray]:
+def reduced(figures: FigureArrays, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the figures of R runs, those of these names as moments that `merged` takes."""
     columns = _columns({name: figures[name].shape for name in names})
     runs = len(figures["rmse"])
@@ -90,7 +90,7 @@ def reduced(figures: Figures, names: Sequence[str]) -> dict[str, np.ndarray]:
     }
 
 
-def merged(one: Figures, other: Figures) -> dict[str, np.ndarray]:
+def merged(one: FigureArrays, other: FigureArrays) -> dict[str, np.ndarray]:
     """Return the moments of the runs of both."""
     sums = added(_exact(one), _exact(other))
     ends = np.array([one[_ENDS], other[_ENDS]])
@@ -105,14 +105,14 @@ def merged(one: Figures, other: Figures) -> dict[str, np.ndarray]:
     }
 
 
-def apart(figures: Figures) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def apart(figures: FigureArrays) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return the moments, and the figures that are not reduced."""
     moments = {name: values for name, values in figures.items() if name in _PARTS}
     return moments, {name: values for name, values in figures.items() if name not in _PARTS}
 
 
 def statistics_of(
-    figures: Figures, shapes: Mapping[str, tuple[int, ...]]
+    figures: FigureArrays, shapes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, np.ndarray]:
     """Return the `STATISTICS` (statistics, ...) of the reduced figures, `PAIR_STATISTICS` of
     `PAIRS`, and the bounds, by name.
@@ -121,7 +121,7 @@ def statistics_of(
         figures: moments.
         shapes: of the figures that were reduced, without their runs, in the same order.
     """
-    columns = Columns(dict(shapes))
+    columns = ReducedColumns(dict(shapes))
     width = sum(int(np.prod(shape)) for shape in shapes.values())
     totals = _exact(figures).integers
     powers = totals[: _POWERS * width].reshape(_POWERS, width)
@@ -131,7 +131,9 @@ def statistics_of(
         table[:5, column] = _statistics(int(known[column]), powers[:, column])
     # The mean of values of which one is infinite is infinite too; its spread is unknown.
     table[1:5, infinite > 0] = np.array([np.inf, np.nan, np.inf, np.nan])[:, None]
-    table[5:7] = np.where(known > 0, figures[_ENDS], np.nan)
+    least, greatest = table[5:7] = np.where(known > 0, figures[_ENDS], np.nan)
+    # Squares are rounded, so that deviations below 1e-8 of the mean are not seen; none is none.
+    table[np.ix_((2, 4), (least == greatest) & (known > 1) & (infinite == 0))] = 0.0
     found, start = {}, 0
     for name, shape in shapes.items():
         end = start + int(np.prod(shape))
@@ -148,8 +150,8 @@ def statistics_of(
     return found | {name: _pair(count, sums) for name, count, sums in of_pairs}
 
 
-def _columns(shapes: Mapping[str, tuple[int, ...]]) -> Columns:
-    return Columns(
+def _columns(shapes: Mapping[str, tuple[int, ...]]) -> ReducedColumns:
+    return ReducedColumns(
         {n: s[1:] if "run" in FIGURES[n].dimensions else s for n, s in shapes.items()}
     )
 
@@ -159,7 +161,7 @@ def _by_run(name: str, values: np.ndarray, runs: int) -> np.ndarray:
     return values if "run" in FIGURES[name].dimensions else np.array([values] * runs)
 
 
-def _of_pairs(columns: Columns, figures: Figures) -> tuple[np.ndarray, np.ndarray]:
+def _of_pairs(columns: ReducedColumns, figures: FigureArrays) -> tuple[np.ndarray, np.ndarray]:
     """Terms (R, 7 each) of the sums of each pair, and in how many runs both are known."""
     runs = len(figures["rmse"])
     terms, counts = [np.empty((runs, 0))], []
@@ -173,7 +175,7 @@ def _of_pairs(columns: Columns, figures: Figures) -> tuple[np.ndarray, np.ndarra
     return np.concatenate(terms, axis=1), np.array(counts, dtype=np.int64)
 
 
-def _exact(figures: Figures) -> ExactSums:
+def _exact(figures: FigureArrays) -> ExactSums:
     return ExactSums(int(figures[_LOWEST]), figures[_SUMS])
 
 
@@ -240,5 +242,7 @@ def _quantiles(
     reached = np.cumsum(counts)
     ranks = np.ceil(np.array(QUANTILES) * reached[-1])
     chosen = where[np.searchsorted(reached, ranks)]
-    edges = np.array([chosen, chosen + 1]) << _BELOW_BIN
+    # The bin of infinity has no upper edge.
+    upper = np.minimum(chosen + 1, _bins_of(np.array([np.inf])))
+    edges = np.array([chosen, upper]) << _BELOW_BIN
     return np.clip(edges.view(float).mean(axis=0), least, greatest)

@@ -40,7 +40,7 @@ def merge_shards(folders: Sequence[Path], out: Path) -> "xarray.Dataset":
         lacking = missing[0]
         raise ValueError(
             f"{len(missing)} of {len(pieces)} pieces are missing, the first of cell "
-            f"{cells[lacking.cell].name}, runs {lacking.first} to {lacking.last - 1}; run the other "
-            "shards, and name their folders too"
+            f"{cells[lacking.cell].name}, runs {lacking.first} to {lacking.last - 1}; run the "
+            "other shards, and name their folders too"
         )
     return assembled(specification, cells, parts, out)

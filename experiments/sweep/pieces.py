@@ -47,20 +47,20 @@ class Piece(NamedTuple):
         return self.last - self.first
 
 
-class Program(msgspec.Struct, frozen=True):
-    """What computes pieces: versions of the libraries, and the commit of concord."""
+class Origin(msgspec.Struct, frozen=True):
+    """Origin of pieces: versions of the libraries, and the commit of concord."""
 
     versions: dict[str, str]
     commit: str | None
 
 
 @cache
-def program() -> Program:
+def program() -> Origin:
     """Return what computes pieces here."""
-    return Program(versions(), commit())
+    return Origin(versions(), commit())
 
 
-def digest_of(piece: Piece, digests: dict[str, str], by: Program) -> str:
+def digest_of(piece: Piece, digests: dict[str, str], by: Origin) -> str:
     """Return the digest of all that the figures of a piece follow from.
 
     `digests` are those of the files that the sweep's values come from. The cell's number is left

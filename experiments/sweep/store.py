@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.experiments.places import make_folder
 from concord.experiments.sweep.cells import difference
-from concord.experiments.sweep.pieces import Program, program
+from concord.experiments.sweep.pieces import Origin, program
 from concord.experiments.sweep.specification import Specification
 from concord.runtime.disk import writing
 
@@ -28,9 +28,9 @@ class Begun(msgspec.Struct, frozen=True):
     commit: str | None
 
     @property
-    def program(self) -> Program:
+    def program(self) -> Origin:
         """Return what computed its pieces."""
-        return Program(self.versions, self.commit)
+        return Origin(self.versions, self.commit)
 
 
 def folder_of(result: Path) -> Path:
