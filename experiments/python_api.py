@@ -5,7 +5,7 @@ Nothing here starts processes or writes files unless it is asked to.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
 from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
 from concord.experiments.results.folder import ARRAYS
 from concord.experiments.scenario_options import scenario_of
+from concord.experiments.sweep.cells import with_keep
 from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.run import begin, finish
 from concord.experiments.sweep.specification import Specification, shown, specify
@@ -104,20 +105,21 @@ def launch(
 
 
 def load(folder: Path | str) -> "xarray.Dataset":
-    """The data set of a run folder; docs/results.md names every variable.
+    """The data set of a run folder, or of a file that `sweep` has written; docs/results.md and
+    docs/sweeps.md name every variable. A variable is read from the file when it is first used.
 
     Raises:
         ValueError: the folder has no results.
     """
     import xarray
 
-    file = Path(folder) / ARRAYS
+    file = Path(folder) if Path(folder).is_file() else Path(folder) / ARRAYS
     if not file.is_file():
         raise ValueError(
             f"{file}: there is no such file; name the folder of a finished run, or finish an "
             f"interrupted one with `concord collect {folder}`"
         )
-    return xarray.load_dataset(file, engine="h5netcdf")
+    return xarray.open_dataset(file, engine="h5netcdf")
 
 
 @python_words()
@@ -137,6 +139,7 @@ def sweep(
     *,
     runs: int = 20,
     samples: int | None = None,
+    keep: Literal["moments", "figures", "histories"] | None = None,
     workers: int = 1,
     out: Path | str | None = None,
     **options: Unpack[SweptOptions],
@@ -147,8 +150,10 @@ def sweep(
         scenario: a scenario, or names of some.
         runs: of each cell, with the same noise in every cell.
         samples: so many cells of a Latin hypercube instead.
+        keep: histories or figures of every run, or moments over the runs; when left out histories,
+            and moments of more than 1e8 estimates.
         workers: processes; with more than one, a script needs `if __name__ == "__main__":`.
-        out: netCDF file to keep the result and, on the way, each finished cell in.
+        out: netCDF file to keep the result and, on the way, each finished piece in.
         options: one value, or several in a list; ranges as text, "0.1..1".
 
     Raises:
@@ -156,9 +161,11 @@ def sweep(
     """
     # Another process, or a later call that resumes, finds own values by their files alone.
     is_alone = workers == 1 and out is None
-    specification = _specification(scenario, options, runs, samples, is_alone)
+    specification = with_keep(_specification(scenario, options, runs, samples, is_alone), keep)
     begun = begin(specification, None if out is None else Path(out), workers_here(workers))
-    return finish(begun, engine_for(workers, None), lambda _: None).dataset
+    dataset = finish(begun, engine_for(workers, None), lambda _: None).dataset
+    assert dataset is not None, "only a shard has none"
+    return dataset
 
 
 @python_words()

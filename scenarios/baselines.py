@@ -54,14 +54,25 @@ def local_only(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -
 
 
 def centralised_of_runs(
-    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+    setup: Setup,
+    runs: Sequence[int],
+    readings: np.ndarray,
+    control: np.ndarray | None,
+    prior_mean: np.ndarray | None = None,
 ) -> Gaussian:
     """`centralised` in the runs of these numbers: readings (R, steps, N, r, d), control (R, steps,
-    p); mean (R, steps, n), cov (R, steps, n, n)."""
+    p); mean (R, steps, n), cov (R, steps, n, n).
+
+    `prior_mean` (R, n) is drawn anew when left out, with the rest of each run's noise.
+    """
     nodes = list(range(setup.scenario.nodes))
     if not filters_step_by_step(setup):
         return _one_by_one(setup, runs, nodes, readings, control)
-    return _stepwise(setup, runs, baseline_step(setup, nodes), readings, control)
+    if prior_mean is None:
+        return _stepwise(setup, runs, baseline_step(setup, nodes), readings, control)
+    n = prior_mean.shape[-1]
+    prior = Gaussian(prior_mean, np.broadcast_to(setup.prior_cov, (len(runs), n, n)))
+    return _through(prior, baseline_step(setup, nodes), readings, control)
 
 
 def centralised_past(

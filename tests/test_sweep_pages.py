@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.monte_carlo.run_figures import FIGURES
+from concord.experiments.monte_carlo.figure_table import FIGURES
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 SWEEPS = (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8")

@@ -34,6 +34,7 @@ COMMANDS = {
     "reproduce": ("reproduce", "reproduce"),
     "identify": ("identify", "identify_tyres"),
     "sweep": ("sweep", "sweep"),
+    "merge": ("sweep", "merge"),
     "compare": ("compare", "compare"),
     "design": ("design", "design"),
     "plot": ("plot", "plot"),

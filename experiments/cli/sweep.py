@@ -1,30 +1,36 @@
-"""`concord sweep`: every combination of what is swept, with intervals, in one file of results."""
+"""`concord sweep`: every combination of what is swept, with intervals, in one file of results; and
+`concord merge`: the same from shards."""
 
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import tyro
 from rich.console import Console
 
 from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.places import make_folder
 from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
+from concord.experiments.sweep.cells import with_keep
 from concord.experiments.sweep.engines import engine_for, workers_here
+from concord.experiments.sweep.merge import merge_shards
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.placements import in_words, over_placements
-from concord.experiments.sweep.run import Begin, Swept, begin, finish
-from concord.experiments.sweep.specification import specify
-from concord.experiments.sweep.store import folder_of
+from concord.experiments.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
+from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.summary import figures_of, table
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 from concord.runtime.disk import NotWritten
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
+
+if TYPE_CHECKING:
+    import xarray
 
 FILE_WIDTH = 120
 
@@ -43,9 +49,17 @@ class SweepOptions:
     """The step from which settling is timed."""
     interval: Literal["t", "bootstrap"] = "t"
     """How intervals over runs are made."""
+    keep: Literal["moments", "figures", "histories"] | None = None
+    """Histories of every run, figures of every run, or moments and quantiles over the runs, whose
+    size does not grow with the runs. Histories when left out, moments above 1e8 estimates."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """netCDF file for the result; runs/sweep-<date>.nc when left out. The same command goes on
     with a sweep that was interrupted."""
+    pieces: Path | None = None
+    """Folder that keeps the computed pieces, for other sweeps that have the same runs of the same
+    cells."""
+    shard: str | None = None
+    """Part of the work to compute, such as 3/10; `concord merge` makes the result of all parts."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
@@ -61,41 +75,101 @@ def sweep(
     """Run every combination of the given values, and print how good and how dear each is."""
     out = output.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}.nc"
     with user_errors():
-        specification = specify(
-            said_in(fields),
-            runs=output.runs,
-            first_run=output.first_run,
-            samples=output.latin_hypercube,
-            change_step=output.change_step,
+        specification = with_keep(
+            specify(
+                said_in(fields),
+                runs=output.runs,
+                first_run=output.first_run,
+                samples=output.latin_hypercube,
+                change_step=output.change_step,
+            ),
+            output.keep,
         )
+        shard = _shard(output, specification)
         engine = engine_for(output.workers, output.dask)
-        begun = begin(specification, out, workers_here(output.workers, output.dask))
+        workers = workers_here(output.workers, output.dask)
+        if output.pieces is not None:
+            make_folder(output.pieces, "--pieces")
+        begun = begin(specification, out, workers, output.pieces, shard)
     _announce(begun, out)
-    total = specification.runs * len(begun.cells)
+    total = sum(part.runs for part in begun.parts.values()) + sum(p.runs for p in begun.missing)
     try:
-        with progress("runs", total) as on_runs:
+        with progress("runs", max(total, 1)) as on_runs:
             swept = finish(begun, engine, on_runs)
     except KeyboardInterrupt:
-        sys.stderr.write(f"interrupted; finished cells are kept in {folder_of(out)}, and the same "
+        sys.stderr.write(f"interrupted; finished pieces are kept in {begun.folder}, and the same "
                          f"command goes on from there: add -o {out}\n")  # fmt: skip
         raise
     except (WorkerLost, NotWritten) as error:
-        sys.stderr.write(f"concord: {error}; finished cells are kept in {folder_of(out)}\n")
+        sys.stderr.write(f"concord: {error}; finished pieces are kept in {begun.folder}\n")
         sys.exit(1)
-    _show(swept, output, out)
+    if swept.dataset is None:
+        _show_shard(swept, begun, output.json)
+    else:
+        _show(swept.dataset, swept, output.interval, output.json, out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MergeOptions:
+    """Folders of pieces, and the result."""
+
+    pieces: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Folders that `concord sweep --shard` has made, in any order."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """netCDF file for the result. It must not exist."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def merge(options: Annotated[MergeOptions, tyro.conf.arg(name="")]) -> None:
+    """Make the result of a sweep of which shards have computed the pieces."""
+    with user_errors():
+        if not options.pieces:
+            raise ValueError("merge: name the folders of pieces that `concord sweep --shard` made")
+        if options.out.exists():
+            raise ValueError(f"--out {options.out}: exists; choose another name")
+        dataset = merge_shards(options.pieces, options.out)
+    _show(dataset, Swept(dataset, 0, 0, 0, 0.0), "t", options.json, options.out)
+
+
+def _shard(options: SweepOptions, specification: Specification) -> Shard:
+    """Return the shard that the options ask for.
+
+    Raises:
+        ValueError: options that do not go together, or a shard that is none.
+    """
+    if options.interval == "bootstrap" and specification.keep == "moments":
+        raise ValueError(
+            "--interval bootstrap: needs every run, and --keep moments keeps none; use --interval "
+            "t or --keep figures"
+        )
+    if options.shard is None:
+        return WHOLE
+    if options.pieces is not None or options.out is None:
+        raise ValueError(
+            f"--shard {options.shard}: its pieces stand beside the result, in OUT.pieces; give "
+            "--out and leave --pieces out"
+        )
+    number, _, shards = options.shard.partition("/")
+    if not (number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
+        raise ValueError(f"--shard {options.shard}: must be NUMBER/SHARDS, such as 3/10")
+    return Shard(int(number), int(shards))
 
 
 def _announce(begun: Begin, out: Path) -> None:
-    specification, _, folder, cells, done = begun
+    specification, cells = begun.specification, begun.cells
     seeds = sorted({cell.scenario.seed for cell in cells})
     write = sys.stderr.write
     write(f"seed {', '.join(map(str, seeds))}; {len(cells)} cells of {specification.runs} runs; "
           f"results in {out}\n")  # fmt: skip
-    if folder is None:
+    if begun.folder is None:
         write("this very sweep is finished: nothing is computed again\n")
         return
-    if done:
-        write(f"goes on: {len(done)} of {len(cells)} cells were finished before\n")
+    if begun.found:
+        every = begun.found + len(begun.missing)
+        write(f"goes on: {begun.found} of {every} pieces were computed before\n")
+    if specification.keep == "moments":
+        write("keeps moments and quantiles over the runs; --keep figures keeps every run\n")
     for warning, names in _warnings(begun).items():
         more = f" and in {len(names) - 1} more" if len(names) > 1 else ""
         write(f"warning: {names[0]}{more}: {warning}\n")
@@ -112,17 +186,32 @@ def _warnings(begun: Begin) -> dict[str, list[str]]:
     return found
 
 
-def _show(swept: Swept, options: SweepOptions, out: Path) -> None:
-    figures = figures_of(swept.dataset, options.interval)
+def _show_shard(swept: Swept, begun: Begin, as_json: bool) -> None:
+    number, shards = begun.shard
+    if as_json:
+        found = {"shard": number, "shards": shards, "computed_pieces": swept.computed_pieces,
+                 "found_pieces": swept.found_pieces, "seconds": swept.seconds,
+                 "pieces": str(begun.folder)}  # fmt: skip
+        sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
+        return
+    sys.stdout.write(
+        f"shard {number} of {shards}: {swept.computed_pieces} pieces in {swept.seconds:.1f} s, in "
+        f"{begun.folder}; when all shards are done, `concord merge {begun.folder} -o {begun.out}` "
+        "makes the result\n"
+    )
+
+
+def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool, out: Path) -> None:
+    figures = figures_of(dataset, interval)
     spreads = over_placements(figures)
     took: dict[str, Any] = {
-        "computed_cells": swept.computed_cells,
-        "found_cells": swept.found_cells,
+        "computed_pieces": swept.computed_pieces,
+        "found_pieces": swept.found_pieces,
         "seconds": swept.seconds,
         "node_updates": swept.node_updates,
     }
     rate = swept.node_updates / swept.seconds if swept.seconds else 0.0
-    if options.json:
+    if as_json:
         over = msgspec.to_builtins(spreads)
         whole = {**msgspec.to_builtins(figures), "over_placements": over, **took,
                  "node_updates_per_second": rate, "result": str(out)}  # fmt: skip
@@ -131,12 +220,13 @@ def _show(swept: Swept, options: SweepOptions, out: Path) -> None:
     console = Console()
     # A file or a pipe has no width to keep to.
     console = console if console.is_terminal else Console(width=FILE_WIDTH)
-    console.print(table(figures, swept.dataset, console.width))
+    console.print(table(figures, dataset, console.width))
     for one in spreads:
         console.print(in_words(one), highlight=False, soft_wrap=True)
-    if swept.computed_cells:
+    if swept.computed_pieces:
+        every = swept.found_pieces + swept.computed_pieces
         console.print(
-            f"computed {swept.computed_cells} of {len(figures.cells)} in {swept.seconds:.1f} s: "
+            f"computed {swept.computed_pieces} of {every} pieces in {swept.seconds:.1f} s: "
             f"{swept.node_updates} node-updates, {rate:.3g} per second", highlight=False,
         )  # fmt: skip
     console.print(f"result in {out}; `concord plot {out}` draws it", highlight=False)

@@ -8,8 +8,8 @@ import numpy as np
 
 from concord.experiments.compare.entries import Entry
 from concord.experiments.compare.run import TAKEN, Figures
+from concord.experiments.monte_carlo.figure_table import FIGURES
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
-from concord.experiments.monte_carlo.run_figures import FIGURES
 from concord.experiments.results.folder import commit, versions
 from concord.scenarios.catalogue import definition_named
 

@@ -9,14 +9,14 @@ from concord.experiments.compare.entries import Entry
 from concord.experiments.compare.node_time import node_update_us
 from concord.experiments.sweep.pieces import compute, joined, pieces_of
 from concord.experiments.sweep.specification import Specification, cells_of
-from concord.experiments.sweep.store import load_cells, save_cell
+from concord.experiments.sweep.store import load_arrays, save_arrays
 from concord.experiments.sweep.workers import Engine
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.types.rules import UserRule
 
-KEPT = "kept"
+KEPT, FILE = "kept", "figures"
 # Figures of a sweep that a comparison needs, all of shape (runs,).
 TAKEN = ("rmse", "rmse_centralised", "anees", "coverage", "bytes_per_step")
 Figures = dict[str, np.ndarray]
@@ -27,7 +27,7 @@ def kept_before(entries: Sequence[Entry], folder: Path | None) -> dict[int, Figu
     if folder is None:
         return {}
     found = {
-        place: load_cells(folder / KEPT / entry.digest, [0]).get(0)
+        place: load_arrays(folder / KEPT / entry.digest, FILE)
         for place, entry in enumerate(entries)
         if not entry.reason and entry.is_kept
     }
@@ -60,7 +60,7 @@ def compute_missing(
             if folder is not None and entries[place].is_kept:
                 target = folder / KEPT / entries[place].digest
                 target.mkdir(parents=True, exist_ok=True)
-                save_cell(target, 0, result)
+                save_arrays(target, FILE, result)
         runs += entries[place].case.runs
         on_runs(runs)
     return entries, figures

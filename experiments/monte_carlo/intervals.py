@@ -48,7 +48,7 @@ def mean_t(values: np.ndarray, confidence: float = 0.95) -> Interval:
     if not len(values):
         return Interval(np.nan, np.nan, np.nan)
     middle = float(values.mean())
-    half = _half_width(values, confidence)
+    half = _half_width(len(values), _std(values), confidence)
     return Interval(middle, middle - half, middle + half)
 
 
@@ -63,7 +63,7 @@ def positive_mean_t(values: np.ndarray, confidence: float = 0.95) -> Interval:
     if not values.any():
         return mean_t(values, confidence)
     middle = values.mean()
-    return _on_log_scale(float(middle), values / middle, confidence)
+    return on_log_scale(float(middle), len(values), _std(values / middle), confidence)
 
 
 def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -> Interval:
@@ -79,7 +79,7 @@ def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -
         return Interval(0.0, 0.0, 0.0)
     middle = _root_ratio(squares, others)
     influence = 0.5 * (squares / squares.mean() - others / others.mean())
-    return _on_log_scale(middle, influence, confidence)
+    return on_log_scale(middle, len(influence), _std(influence), confidence)
 
 
 def mean_bootstrap(values: np.ndarray, confidence: float = 0.95) -> Interval:
@@ -106,20 +106,24 @@ METHODS: dict[str, IntervalMethod] = {
 }
 
 
-def _on_log_scale(middle: float, influence: np.ndarray, confidence: float) -> Interval:
-    """Return the interval whose logarithm has the half width of the mean of `influence` (runs,)."""
-    grown = np.exp(_half_width(influence, confidence))
+def on_log_scale(middle: float, count: int, deviation: float, confidence: float = 0.95) -> Interval:
+    """Return the interval of a figure of so many runs, whose logarithm is linearised as the mean
+    of values with this standard deviation."""
+    grown = np.exp(_half_width(count, deviation, confidence))
     return Interval(middle, float(middle / grown), float(middle * grown))
 
 
-def _half_width(values: np.ndarray, confidence: float) -> float:
-    if len(values) < 2:
+def _std(values: np.ndarray) -> float:
+    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _half_width(count: int, deviation: float, confidence: float) -> float:
+    if count < 2:
         return float("nan")
     # Only here: scipy takes longer to load than most commands take.
     from scipy.special import stdtrit
 
-    quantile = stdtrit(len(values) - 1, 0.5 + confidence / 2)
-    return float(quantile * values.std(ddof=1) / np.sqrt(len(values)))
+    return float(stdtrit(count - 1, 0.5 + confidence / 2) * deviation / np.sqrt(count))
 
 
 def _both_known(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

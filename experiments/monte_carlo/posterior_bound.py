@@ -101,11 +101,16 @@ def _information(
         for place in np.flatnonzero(taken[:, node].any(axis=0)).tolist():
             which = np.flatnonzero(taken[:, node, place])
             slopes = _slopes(sensor, truths.truth[which, step], scale, step)
-            read = [sensor.interpret(one) for one in truths.readings[which, step, node, place]]
-            missing = np.isnan([value for value, _ in read])
-            noise_cov = without_rows(np.array([cov for _, cov in read]), missing)
-            slopes = np.where(missing[..., None], 0.0, slopes)
-            total += (slopes.mT @ inverse_spd(noise_cov) @ slopes).sum(axis=0)
+            value, noise_cov = sensor.interpret(truths.readings[which, step, node, place])
+            missing = np.isnan(value)
+            if missing.any():
+                noise_cov = without_rows(noise_cov, missing)
+                slopes = np.where(missing[..., None], 0.0, slopes)
+            if (noise_cov == noise_cov[:1]).all():
+                # Most sensors have the same noise in every run.
+                noise_cov = noise_cov[:1]
+            weighed = inverse_spd(noise_cov) @ slopes
+            total += slopes.reshape(-1, n).T @ weighed.reshape(-1, n)
     return symmetrise(total / runs)
 
 

@@ -15,7 +15,8 @@ from concord.scenarios.baselines import centralised_of_runs, filters_step_by_ste
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 
-_KEPT = 64
+# Frames of pieces of several cells that have the same noise.
+_KEPT_BYTES = 64 * 1024**2
 
 
 class RunFrame(NamedTuple):
@@ -36,10 +37,14 @@ def frame_of(setup: Setup, runs: range, histories: Histories) -> RunFrame:
         return _frames[key]
     frame = _frame(setup, runs, histories)
     if key is not None:
-        if len(_frames) >= _KEPT:
-            _frames.pop(next(iter(_frames)))
         _frames[key] = frame
+        while len(_frames) > 1 and sum(map(_size_bytes, _frames.values())) > _KEPT_BYTES:
+            _frames.pop(next(iter(_frames)))
     return frame
+
+
+def _size_bytes(frame: RunFrame) -> int:
+    return sum(part.nbytes for part in frame)
 
 
 def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
@@ -59,7 +64,7 @@ def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
 def _frame(setup: Setup, runs: range, histories: Histories) -> RunFrame:
     control, readings = histories.control, histories.readings
     assert readings is not None, "keep the readings"
-    alone = centralised_of_runs(setup, runs, readings, control)
+    alone = centralised_of_runs(setup, runs, readings, control, histories.prior_mean)
     return RunFrame(alone.mean, alone.cov, bound_of(setup, histories))
 
 

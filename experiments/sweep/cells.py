@@ -17,6 +17,25 @@ from concord.scenarios.preparation import prepare
 
 # Four histories of a run stay in memory until the end, and once more as the result is written.
 _KEPT_BYTES = 2 * 4 * 8
+# Estimates (nodes x runs x steps) of a sweep up to which it keeps histories by itself.
+MOST_WITH_HISTORIES = 100_000_000
+
+
+def with_keep(specification: Specification, keep: str | None) -> Specification:
+    """Return the specification that keeps this; histories where None, moments of large sweeps.
+
+    Raises:
+        ValueError: a cell of an unknown name or option.
+    """
+    if keep is None:
+        keep = "histories" if estimates_of(specification) <= MOST_WITH_HISTORIES else "moments"
+    return msgspec.structs.replace(specification, keep=keep)
+
+
+def estimates_of(specification: Specification) -> int:
+    """Return the estimates of a sweep: nodes x runs x steps, over its cells."""
+    sizes = (cell.scenario.nodes * cell.scenario.steps for cell in cells_of(specification))
+    return sum(sizes) * specification.runs
 
 
 def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
@@ -31,9 +50,15 @@ def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
         more = f"; {len(bad) - 1} more of its cells cannot run" if len(bad) > 1 else ""
         raise ValueError(f"cell {cell.name} ({cell.number + 1} of {len(good) + len(bad)}): "
                          f"{reason}{more}")  # fmt: skip
-    kept = sum(one.scenario.steps for one in cells) * specification.runs * _KEPT_BYTES
+    of_run = {
+        "histories": lambda one: one.steps,
+        "figures": lambda one: one.nodes,
+        "moments": lambda _: 0,
+    }[specification.keep]
     require_memory(
-        kept, f"{len(cells)} cells of {specification.runs} runs", "use fewer --steps or --runs"
+        sum(of_run(one.scenario) for one in cells) * specification.runs * _KEPT_BYTES,
+        f"{len(cells)} cells of {specification.runs} runs",
+        "use --keep moments, or fewer --steps or --runs",
     )
     needs = [
         (needed_bytes(cell.scenario, together), ceil(specification.runs / together))

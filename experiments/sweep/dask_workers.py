@@ -74,7 +74,9 @@ def _over(
     waiting = {client.submit(function, one, pure=False): n for n, one in enumerate(arguments)}
     try:
         for done in as_completed(list(waiting)):
-            yield waiting[done], done.result()
+            # The cluster forgets a result with its last future.
+            yield waiting.pop(done), done.result()
+            done.release()
     finally:
         client.cancel(list(waiting))
         client.close()

@@ -1,65 +1,140 @@
 """The pieces that a sweep is computed in: some runs of one cell, from a scenario to its figures."""
 
+import hashlib
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from concord.experiments.monte_carlo.run_figures import FIGURES, figures_of
+from concord.experiments.monte_carlo.figure_table import FIGURES
+from concord.experiments.monte_carlo.moments import apart, merged, reduced
+from concord.experiments.monte_carlo.run_figures import figures_of
 from concord.experiments.monte_carlo.run_frame import frame_of
 from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.specification import Cell, Specification
+from concord.runtime.batched.build import without_array_form
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 
 # Estimates of a piece that are in memory at once: nodes x runs x steps.
 LARGEST = 500_000
+# The same where messages are passed one by one, which takes a hundred times as long.
+LARGEST_OF_MESSAGES = 10_000
+# Figures that a piece reduces to moments, by what the sweep keeps.
+REDUCED = {
+    "moments": tuple(FIGURES),
+    "figures": tuple(name for name, figure in FIGURES.items() if "step" in figure.dimensions),
+    "histories": (),
+}
 
 
 class Piece(NamedTuple):
-    """Runs `first` to before `last` of a cell; the scenario as JSON, to travel anywhere."""
+    """Runs `first` to before `last` of a cell, and what is kept of them; the scenario as JSON, to
+    travel anywhere."""
 
     cell: int
     scenario: bytes
     first: int
     last: int
+    keep: str = "histories"
+
+    @property
+    def runs(self) -> int:
+        """Return the number of runs."""
+        return self.last - self.first
+
+
+class Origin(msgspec.Struct, frozen=True):
+    """Origin of pieces: versions of the libraries, and the commit of concord."""
+
+    versions: dict[str, str]
+    commit: str | None
+
+
+@cache
+def program() -> Origin:
+    """Return what computes pieces here."""
+    return Origin(versions(), commit())
+
+
+def digest_of(piece: Piece, digests: dict[str, str], by: Origin) -> str:
+    """Return the digest of all that the figures of a piece follow from.
+
+    `digests` are those of the files that the sweep's values come from. The cell's number is left
+    out, so that another sweep finds the same runs of the same scenario.
+    """
+    used = {name: digest for name, digest in digests.items() if name.encode() in piece.scenario}
+    content = (piece.scenario.decode(), piece.first, piece.last, piece.keep, used, by)
+    return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:32]
 
 
 def runs_at_once(scenario: Scenario) -> int:
     """Return the number of runs that a piece has at most."""
-    return max(1, LARGEST // (scenario.nodes * scenario.steps))
+    largest = LARGEST if without_array_form(scenario) is None else LARGEST_OF_MESSAGES
+    return max(1, largest // (scenario.nodes * scenario.steps))
 
 
 def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece]:
-    """All pieces of these cells. They depend on the cell alone, so that results do too."""
+    """All pieces of these cells. They depend on the cell alone, so that results do too.
+
+    They begin at multiples of their size: a sweep of more runs finds the pieces of one of fewer.
+    """
     pieces = []
     end = specification.first_run + specification.runs
     for cell in cells:
         at_once = runs_at_once(cell.scenario)
         text = msgspec.json.encode(cell.scenario)
-        for first in range(specification.first_run, end, at_once):
-            pieces.append(Piece(cell.number, text, first, min(first + at_once, end)))
+        first = specification.first_run
+        while first < end:
+            last = min((first // at_once + 1) * at_once, end)
+            pieces.append(Piece(cell.number, text, first, last, specification.keep))
+            first = last
     return pieces
 
 
 def compute(piece: Piece) -> dict[str, np.ndarray]:
-    """Return the figures of a piece (`run_figures.FIGURES`)."""
+    """Return the figures of a piece (`figure_table.FIGURES`), reduced as far as it says."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     runs = range(piece.first, piece.last)
     histories = simulate(setup, runs)
-    return figures_of(setup, histories, frame_of(setup, runs, histories))
+    figures = figures_of(setup, histories, frame_of(setup, runs, histories))
+    names = REDUCED[piece.keep]
+    return reduced(figures, names) if names else figures
+
+
+class CellParts:
+    """The figures of the pieces of a cell, in any order; moments are merged at once."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+        self._moments: dict[str, np.ndarray] = {}
+        self._others: dict[int, dict[str, np.ndarray]] = {}
+
+    def add(self, piece: Piece, figures: dict[str, np.ndarray]) -> None:
+        """Take those of a piece."""
+        self.runs += piece.runs
+        moments, others = apart(figures)
+        self._moments = merged(self._moments, moments) if self._moments else moments
+        if others:
+            self._others[piece.first] = others
+
+    def figures(self) -> dict[str, np.ndarray]:
+        """Return the figures of all pieces."""
+        return self._moments | joined([self._others[first] for first in sorted(self._others)])
 
 
 def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return the figures of a cell from those of its pieces, in order of their runs."""
-    if len(parts) == 1:
-        return parts[0]
+    if len(parts) <= 1:
+        return dict(*parts)
     weights = np.array([len(part["rmse"]) for part in parts], dtype=float)
     whole = {}
-    for name, figure in FIGURES.items():
+    for name in parts[0]:
         each = [part[name] for part in parts]
-        if "run" in figure.dimensions:
+        if "run" in FIGURES[name].dimensions:
             whole[name] = np.concatenate(each)
         else:
             # A bound is a root of covariances, whose expectation is over all runs.

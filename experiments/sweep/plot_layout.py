@@ -82,7 +82,8 @@ def subtitle(dataset: "xarray.Dataset", layout: Layout) -> str:
     shown_alone = f"; drawn at {', '.join(fixed)}" if fixed else ""
     nodes = "" if "nodes" in dimensions_of(dataset) else f", {scenario.nodes} nodes"
     name = "" if "scenario" in dimensions_of(dataset) else scenario.name
-    return f"{name}{nodes}, {dataset.sizes['run']} runs, seed {dataset.attrs['seed']}{shown_alone}"
+    runs = specification_of(dataset).runs
+    return f"{name}{nodes}, {runs} runs, seed {dataset.attrs['seed']}{shown_alone}"
 
 
 def _first(wanted: tuple[str, ...], there: list[str]) -> str | None:

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import stdtrit
 
-from concord.experiments.monte_carlo.intervals import ratio_t
+from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.monte_carlo.pareto import front
 from concord.experiments.results.network_map import Mapped, network_maps
 from concord.experiments.results.palette import GREY, SEQUENTIAL, plain_numbers, styles
+from concord.experiments.sweep.cell_data import CellData
 from concord.experiments.sweep.plot_layout import (
     CellResult,
     Layout,
@@ -125,12 +126,14 @@ def _cost(
     dataset: "xarray.Dataset", parts: "Sequence[tuple[Cell, xarray.Dataset]]"
 ) -> tuple[np.ndarray, str]:
     """Return the cost of each cell, and what it is."""
-    if "bus" in dataset.dims and bool(dataset["bus_time_us"].notnull().all()):
-        spent = [float(data["bus_time_us"].mean()) for _, data in parts]
+    times, sizes = (
+        [CellData(data).mean(name).value for _, data in parts]
+        for name in ("bus_time_us", "bytes_per_step")
+    )
+    if "bus" in dataset.dims and not np.isnan(times).any():
         # Sums of decimals differ in the last bits: equal to the nanosecond is equal.
-        return np.round(spent, 3), "microseconds of the bus per step, all nodes"
-    spent = [float(data["bytes_per_step"].mean()) for _, data in parts]
-    return np.array(spent), "bytes on the bus per step, all nodes"
+        return np.round(times, 3), "microseconds of the bus per step, all nodes"
+    return np.array(sizes), "bytes on the bus per step, all nodes"
 
 
 def pareto(dataset: "xarray.Dataset") -> "Figure | None":
@@ -188,7 +191,7 @@ def network_map(dataset: "xarray.Dataset") -> "Figure | None":
             continue
         cell, data = min(known, key=lambda part: _ratio(part[1]).value)
         setup = prepare(cell.scenario)
-        error = np.sqrt(np.nanmean(np.square(data["rmse_node"].to_numpy()), axis=0))
+        error = CellData(data).rms("rmse_node")
         inside = {field: value for field, value in cell.values.items() if field != layout.panel}
         head = [f"{layout.panel}={name}"] if layout.panel else []
         title = ", ".join([*head, *([named(inside)] if inside else [])])
@@ -221,21 +224,19 @@ def sweep_figures(dataset: "xarray.Dataset") -> "dict[str, Figure]":
 def _draw_errors(axes: Any, parts: list[CellResult], layout: Layout, look: dict[str, Any]) -> None:
     for name, line in grouped(parts, layout.colour).items():
         _, data = line[0]
-        error = data["error"].to_numpy()
         x = data["time"].to_numpy() if "time" in data.coords else data["step"].to_numpy()
-        middle = np.sqrt(np.mean(error**2, axis=0))
+        middle, (runs, spread) = CellData(data).rms("error"), CellData(data).spread("error")
         style = look[name]
         axes.plot(x, middle, color=style.colour, linestyle=style.dash, label=name or "network")
-        if len(error) > 1:
+        if np.nanmax(runs) > 1:
             # The interval of the logarithm: it cannot fall below zero.
-            spread = (error**2).std(axis=0, ddof=1) / middle**2
-            grown = np.exp(0.5 * stdtrit(len(error) - 1, 0.975) * spread / np.sqrt(len(error)))
+            grown = np.exp(0.5 * stdtrit(runs - 1, 0.975) * spread / np.sqrt(runs))
             axes.fill_between(x, middle / grown, middle * grown, color=style.colour, alpha=0.18,
                               linewidth=0)  # fmt: skip
     if parts:
         _, data = parts[0]
         x = data["time"].to_numpy() if "time" in data.coords else data["step"].to_numpy()
-        central = np.sqrt(np.mean(data["error_centralised"].to_numpy() ** 2, axis=0))
+        central = CellData(data).rms("error_centralised")
         axes.plot(x, central, color="black", linewidth=1, label="centralised")
         axes.plot(x, data["bound"].to_numpy(), color=GREY, linewidth=1, linestyle=":",
                   label="Cramér-Rao bound")  # fmt: skip
@@ -252,10 +253,8 @@ def _draw_line(axes: Any, line: list[CellResult], axis: str, name: str, style: A
                   linestyle=style.dash, capsize=2.5, label=name or "network")  # fmt: skip
 
 
-def _ratio(data: "xarray.Dataset") -> Any:
-    return ratio_t(
-        np.square(data["rmse"].to_numpy()), np.square(data["rmse_centralised"].to_numpy())
-    )
+def _ratio(data: "xarray.Dataset") -> Interval:
+    return CellData(data).ratio("rmse", "rmse_centralised")
 
 
 def _matrix(parts: list[CellResult], rows: Any, columns: Any, down: str, across: str) -> np.ndarray:

@@ -1,5 +1,7 @@
 """The result of a sweep: one xarray data set, one dimension per swept field, and the runs.
 
+Where a sweep keeps moments, statistics over the runs take the place of the runs.
+
 Cells of a Latin hypercube have one dimension, `cell`, along which the fields are coordinates.
 """
 
@@ -10,9 +12,16 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from concord.experiments.monte_carlo.run_figures import FIGURES
+from concord.experiments.monte_carlo.figure_table import FIGURES, Figure
+from concord.experiments.monte_carlo.moments import (
+    PAIR_STATISTICS,
+    PAIRS,
+    STATISTICS,
+    statistics_of,
+)
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.results.netcdf_file import read_dataset, write_dataset
+from concord.experiments.sweep.pieces import REDUCED
 from concord.experiments.sweep.specification import Cell, Specification, Value, cells_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario_definition import ScenarioDefinition
@@ -39,26 +48,77 @@ def assemble(
     shape = tuple(len(values) for values in fields.values())
     definitions = [definition_of(cell.scenario) for cell in cells]
     states = _states(cells, definitions)
+    table = table_of(specification.keep)
     sizes = {
         "run": specification.runs,
         "step": max(cell.scenario.steps for cell in cells),
         "node": max(cell.scenario.nodes for cell in cells),
         "state": len(states),
+        "statistic": len(STATISTICS),
+        "pair_statistic": len(PAIR_STATISTICS),
     }
     unit = score_unit(definitions)
+    wholes = {
+        name: np.full((*shape, *(sizes[d] for d in figure.dimensions)), np.nan)
+        for name, figure in table.items()
+    }
+    for cell in cells:
+        place = np.unravel_index(cell.number, shape) if shape else ()
+        found = _with_statistics(specification, cell, figures[cell.number])
+        for name, figure in table.items():
+            part = _placed(found[name], figure.dimensions, cell, states)
+            wholes[name][(*place, *(slice(length) for length in part.shape))] = part
     variables: dict[str, Any] = {}
-    for name, figure in FIGURES.items():
-        whole = np.full((*shape, *(sizes[d] for d in figure.dimensions)), np.nan)
-        for cell in cells:
-            place = np.unravel_index(cell.number, shape) if shape else ()
-            part = _placed(figures[cell.number][name], figure.dimensions, cell, states)
-            whole[(*place, *(slice(length) for length in part.shape))] = part
+    for name, figure in table.items():
         units = {"score": unit, "state": "as state_unit"}.get(figure.units, figure.units)
         variables[name] = (
-            (*fields, *figure.dimensions), whole, {"units": units, "long_name": figure.meaning}
+            (*fields, *figure.dimensions), wholes[name],
+            {"units": units, "long_name": figure.meaning},
         )  # fmt: skip
-    return xarray.Dataset(variables, _coordinates(specification, cells, fields, sizes, states),
-                          _provenance(specification, cells))  # fmt: skip
+    used = {dimension for figure in table.values() for dimension in figure.dimensions}
+    coordinates = _coordinates(specification, cells, fields, sizes, states)
+    return xarray.Dataset(
+        variables,
+        {name: of for name, of in coordinates.items() if name not in sizes or name in used},
+        _provenance(specification, cells),
+    )
+
+
+def table_of(keep: str) -> dict[str, Figure]:
+    """Return the variables of a result that keeps this: reduced ones have statistics for runs."""
+    names = REDUCED[keep]
+    reduced = {
+        name: figure._replace(
+            dimensions=("statistic", *(d for d in figure.dimensions if d != "run"))
+        )
+        for name, figure in FIGURES.items()
+        if name in names and "run" in figure.dimensions
+    }
+    paired = {
+        name: Figure(("pair_statistic",), "1", f"{one} beside {other} of the same run")
+        for name, (one, other) in PAIRS.items()
+        if {one, other} <= set(names)
+    }
+    return FIGURES | reduced | paired
+
+
+def _with_statistics(
+    specification: Specification, cell: Cell, figures: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return the figures of a cell with statistics in the place of moments."""
+    names = REDUCED[specification.keep]
+    if not names:
+        return dict(figures)
+    states = len(definition_of(cell.scenario).plant(cell.scenario).state_names)
+    sizes = {"step": cell.scenario.steps, "node": cell.scenario.nodes, "state": states}
+    shapes = {
+        name: tuple(sizes[d] for d in FIGURES[name].dimensions if d != "run") for name in names
+    }
+    found = statistics_of(figures, shapes)
+    rms = STATISTICS.index("rms")
+    # A bound is one for all runs: the root of its mean square over the pieces.
+    bounds = {name: found[name][rms] for name in names if "run" not in FIGURES[name].dimensions}
+    return {**figures, **found, **bounds}
 
 
 def score_unit(definitions: Sequence[ScenarioDefinition]) -> str:
@@ -115,7 +175,7 @@ def specification_of(dataset: "xarray.Dataset") -> Specification:
 
 def dimensions_of(dataset: "xarray.Dataset") -> tuple[str, ...]:
     """Return the dimensions of its cells: the swept fields, or `cell` for a Latin hypercube."""
-    return tuple(str(d) for d in dataset["rmse"].dims if d != "run")
+    return tuple(str(d) for d in dataset["rmse"].dims if d not in ("run", "statistic"))
 
 
 def flattened(dataset: "xarray.Dataset") -> list[tuple[Cell, "xarray.Dataset"]]:
@@ -180,6 +240,8 @@ def _coordinates(
         "node": np.arange(sizes["node"]),
         "state": list(states),
         "state_unit": ("state", list(states.values())),
+        "statistic": list(STATISTICS),
+        "pair_statistic": list(PAIR_STATISTICS),
     }
     if specification.samples:
         coordinates |= {

@@ -41,6 +41,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
             every cell of one seed.
         samples: cells of a Latin hypercube; None for every combination.
         change_step: the step from which convergence is timed.
+        keep: "histories" of every step of a run, "figures" of every run, or "moments" over runs.
         digests: of the files that values come from (FILE.py:NAME).
     """
 
@@ -51,6 +52,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
     first_run: int = 0
     samples: int | None = None
     change_step: int = 0
+    keep: str = "histories"
     digests: dict[str, str] = {}
 
     @property

@@ -1,19 +1,19 @@
-"""Progress of a sweep: a folder beside its result, with one file per finished cell.
+"""Progress of a sweep: a folder with one file per finished piece, under the digest of the piece.
 
-A cell is written whole or not at all, so an interrupted sweep continues where it stopped.
+A piece is written whole or not at all, so an interrupted sweep continues where it stopped.
 """
 
+import os
 import shutil
 import zipfile
-from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from concord.experiments.places import make_folder
-from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.cells import difference
+from concord.experiments.sweep.pieces import Origin, program
 from concord.experiments.sweep.specification import Specification
 from concord.runtime.disk import writing
 
@@ -21,42 +21,61 @@ SPECIFICATION = "sweep.json"
 
 
 class Begun(msgspec.Struct, frozen=True):
-    """Which sweep a folder is of, and what computed its cells."""
+    """Which sweep a folder is of, and what computed its pieces."""
 
     specification: Specification
     versions: dict[str, str]
     commit: str | None
 
+    @property
+    def program(self) -> Origin:
+        """Return what computed its pieces."""
+        return Origin(self.versions, self.commit)
+
 
 def folder_of(result: Path) -> Path:
-    """Where the cells of a result wait until all are done."""
-    return result.with_name(f"{result.name}.cells")
+    """Where the pieces of a result wait until all are done."""
+    return result.with_name(f"{result.name}.pieces")
 
 
 def open_store(result: Path, specification: Specification) -> Path:
-    """Return the folder of the cells of a result; made, or found with some of them.
+    """Return the folder of the pieces of a result; made, or found with some of them.
 
     Raises:
         ValueError: it cannot be made, or it is of another sweep or another version.
     """
-    folder = folder_of(result)
-    now = Begun(specification, versions(), commit())
+    folder, here = folder_of(result), program()
     make_folder(folder, "--out", result)
-    described = folder / SPECIFICATION
-    if not described.exists():
-        _write(described, msgspec.json.format(msgspec.json.encode(now), indent=2))
+    if not (folder / SPECIFICATION).exists():
+        now = Begun(specification, here.versions, here.commit)
+        _write(folder / SPECIFICATION, msgspec.json.format(msgspec.json.encode(now), indent=2))
         return folder
-    try:
-        before = msgspec.json.decode(described.read_bytes(), type=Begun)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{described}: not a sweep of ours ({error}); remove {folder}") from None
+    before = read_begun(folder)
     check_same(before.specification, specification, result, f"remove {folder} to begin anew")
-    if before.versions != now.versions or before.commit != now.commit:
+    if before.program != here:
         raise ValueError(
-            f"{folder}: begun by another version of the program (commit {before.commit}); cells "
+            f"{folder}: begun by another version of the program (commit {before.commit}); pieces "
             f"of two versions cannot stand side by side; remove it to begin anew"
         )
     return folder
+
+
+def read_begun(folder: Path) -> Begun:
+    """Return which sweep a folder is of.
+
+    Raises:
+        ValueError: it is none of a sweep.
+    """
+    described = folder / SPECIFICATION
+    try:
+        return msgspec.json.decode(described.read_bytes(), type=Begun)
+    except OSError as error:
+        raise ValueError(
+            f"{described}: cannot be read ({error.strerror}); name the folder of pieces that "
+            "`concord sweep --shard` has made"
+        ) from None
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{described}: not a sweep of ours ({error}); remove {folder}") from None
 
 
 def check_same(before: Specification, now: Specification, result: Path, cure: str) -> None:
@@ -72,42 +91,40 @@ def check_same(before: Specification, now: Specification, result: Path, cure: st
         )
 
 
-def save_cell(folder: Path, number: int, figures: dict[str, np.ndarray]) -> None:
-    """Write a finished cell, whole or not at all."""
-    path = _path(folder, number)
-    part = path.with_suffix(".part")
+def save_arrays(folder: Path, name: str, arrays: dict[str, np.ndarray]) -> None:
+    """Write arrays under a name, whole or not at all."""
+    path = _path(folder, name)
+    # Several shards may write to one folder.
+    part = path.with_suffix(f".{os.getpid()}.part")
     try:
         with writing(path):
             with part.open("wb") as file:
-                np.savez(file, **figures)  # type: ignore[arg-type]
+                np.savez(file, **arrays)  # type: ignore[arg-type]
             part.replace(path)
     finally:
         part.unlink(missing_ok=True)
 
 
-def load_cells(folder: Path, numbers: Iterable[int]) -> dict[int, dict[str, np.ndarray]]:
-    """The finished ones of these cells; one that cannot be read is as if it were not there."""
-    found = {}
-    for number in numbers:
-        try:
-            with _path(folder, number).open("rb") as file, np.load(file) as arrays:
-                found[number] = {name: arrays[name] for name in arrays.files}
-        except (OSError, ValueError, zipfile.BadZipFile):
-            continue
-    return found
+def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray] | None:
+    """Return the arrays of a name; None where they are missing or cannot be read."""
+    try:
+        with _path(folder, name).open("rb") as file, np.load(file) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return None
 
 
 def remove_store(result: Path) -> None:
-    """Remove the cells of a result that is complete."""
+    """Remove the pieces of a result that is complete."""
     shutil.rmtree(folder_of(result), ignore_errors=True)
 
 
-def _path(folder: Path, number: int) -> Path:
-    return folder / f"cell-{number:05d}.npz"
+def _path(folder: Path, name: str) -> Path:
+    return folder / f"{name}.npz"
 
 
 def _write(path: Path, data: bytes) -> None:
-    part = path.with_suffix(".part")
+    part = path.with_suffix(f".{os.getpid()}.part")
     with writing(path):
         part.write_bytes(data + b"\n")
         part.replace(path)

@@ -8,8 +8,8 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from concord.experiments.monte_carlo.convergence import settling_interval
-from concord.experiments.monte_carlo.intervals import METHODS, Interval
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.sweep.cell_data import CellData
 from concord.experiments.sweep.results import flattened, specification_of
 from concord.experiments.sweep.specification import shown
 from concord.scenarios.catalogue import definition_named
@@ -57,51 +57,44 @@ class SweepFigures(msgspec.Struct, frozen=True):
 
 def figures_of(dataset: "xarray.Dataset", method: str = "t") -> SweepFigures:
     """Return the figures of a result; `method` is one of `intervals.METHODS`."""
-    parts = flattened(dataset)
-    squares = [np.square(part["rmse"].to_numpy()) for _, part in parts]
-    means = [np.mean(one) for one in squares]
-    best = squares[int(np.nanargmin(means))] if not np.isnan(means).all() else squares[0]
+    parts = [(cell, CellData(part, method)) for cell, part in flattened(dataset)]
+    errors = np.array([part.rms("rmse") for _, part in parts])
+    best = parts[int(np.nanargmin(errors)) if not np.isnan(errors).all() else 0][1]
     specification = specification_of(dataset)
     return SweepFigures(
         unit=dataset["rmse"].attrs["units"],
-        runs=dataset.sizes["run"],
+        runs=specification.runs,
         seed=_plain(dataset.attrs["seed"]),
         interval=method,
         cells=[
             CellFigures(cell=dict(cell.values), **_figures(
-                part, best, method, specification.change_step, _first_scored(cell.scenario.name)
+                part, best, specification.change_step, _first_scored(cell.scenario.name)
             ))
             for cell, part in parts
         ],
     )  # fmt: skip
 
 
-def _figures(
-    part: "xarray.Dataset", best: np.ndarray, method: str, change_step: int, first: int
-) -> dict[str, Interval]:
-    mean, ratio = METHODS[method]
-    values = {str(name): variable.to_numpy() for name, variable in part.items()}
-    squares, central = np.square(values["rmse"]), np.square(values["rmse_centralised"])
-    steps = ~np.isnan(values["error"]).all(axis=0)
-    error = values["error"][:, steps]
-    bound = np.square(values["bound"][steps])[min(first, steps.sum() - 1) :].mean()
+def _figures(part: CellData, best: CellData, change_step: int, first: int) -> dict[str, Interval]:
+    steps = ~np.isnan(part.rms("error"))
+    bound = np.square(part.values("bound")[steps])[min(first, steps.sum() - 1) :].mean()
     return {
-        "rmse": ratio(squares, np.ones_like(squares)),
-        "to_centralised": ratio(squares, central),
-        "to_bound": ratio(squares, np.full_like(squares, bound)),
-        "to_best": ratio(squares, best),
-        "worst_node_to_centralised": ratio(np.square(values["rmse_worst_node"]), central),
-        "blind_to_centralised": ratio(np.square(values["rmse_blind"]), central),
-        "disagreement": ratio(np.square(values["disagreement"]), np.ones_like(squares)),
+        "rmse": part.root_mean("rmse"),
+        "to_centralised": part.ratio("rmse", "rmse_centralised"),
+        "to_bound": part.root_mean("rmse", float(np.sqrt(bound))),
+        "to_best": part.to(best, "rmse"),
+        "worst_node_to_centralised": part.ratio("rmse_worst_node", "rmse_centralised"),
+        "blind_to_centralised": part.ratio("rmse_blind", "rmse_centralised"),
+        "disagreement": part.root_mean("disagreement"),
         **{
-            name: mean(values[variable])
+            name: part.mean(variable)
             for name, variable in {
                 "anees": "anees", "coverage": "coverage", "published": "published",
                 "bytes_per_step": "bytes_per_step", "energy_per_step_mj": "energy_per_step",
                 "bus_load": "bus_load", "delay_us": "delay_us", "share_age_cycles": "share_age",
             }.items()
         },
-        "settling_steps": settling_interval(error, change_step),
+        "settling_steps": part.settling(change_step),
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.experiments.results.folder import ARRAYS, RECORDING, read_description
 from concord.experiments.results.palette import save
 from concord.experiments.results.trace import read_trace
-from concord.experiments.sweep.store import folder_of, load_cells, save_cell
+from concord.experiments.sweep.store import folder_of, load_arrays, save_arrays
 from concord.runtime.disk import NotWritten
 from concord.runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
@@ -89,7 +89,7 @@ def test_a_result_that_does_not_fit_leaves_the_recording_and_no_broken_file(smal
     assert complete_steps(small_disk / "run") == 30
 
 
-def test_a_sweep_on_a_full_disk_keeps_its_finished_cells(small_disk: Path):
+def test_a_sweep_on_a_full_disk_keeps_its_finished_pieces(small_disk: Path):
     words = "sweep --scenario oscillator --nodes 3,4,5,6 --steps 1000 --runs 2 --workers 1 -o s.nc"
     with family([*CONCORD, *words.split()], small_disk) as sweep:
         code, out, err = sweep.end(120)
@@ -98,8 +98,8 @@ def test_a_sweep_on_a_full_disk_keeps_its_finished_cells(small_disk: Path):
     assert "Traceback" not in err
     assert "cannot be written (No space left on device)" in err and "are kept in" in err
     folder = folder_of(small_disk / "s.nc")
-    kept = load_cells(folder, range(4))
-    assert 0 < len(kept) < 4
+    kept = [load_arrays(folder, path.stem) for path in folder.glob("*.npz")]
+    assert 0 < len(kept) < 4 and None not in kept
     assert not list(folder.glob("*.part"))
 
 
@@ -165,7 +165,7 @@ def test_a_picture_that_does_not_fit_is_named(tmp_path: Path, few_bytes: int):
         save(figure, tmp_path / "noise.png")
 
 
-def test_a_cell_that_does_not_fit_is_not_there(tmp_path: Path, few_bytes: int):
-    with pytest.raises(NotWritten, match=r"cell-00003\.npz"):
-        save_cell(tmp_path, 3, {"figures": np.zeros(few_bytes)})
+def test_a_piece_that_does_not_fit_is_not_there(tmp_path: Path, few_bytes: int):
+    with pytest.raises(NotWritten, match=r"piece\.npz"):
+        save_arrays(tmp_path, "piece", {"figures": np.zeros(few_bytes)})
     assert not list(tmp_path.iterdir())

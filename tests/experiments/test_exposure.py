@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from concord.experiments.cli import dashboard as dashboard_command
-from concord.experiments.sweep.store import folder_of, load_cells, save_cell
+from concord.experiments.sweep.store import folder_of, load_arrays, save_arrays
 from concord.runtime.network.network_file import NetworkAddresses, read_network, write_network
 from tests.experiments.flexray_support import concord
 from tests.experiments.test_hosts import write_setup
@@ -96,14 +96,15 @@ class _Trap:
         return Path.touch, (self.path,)
 
 
-def test_a_cell_that_must_be_unpickled_is_not_read(tmp_path: Path):
+def test_a_piece_that_must_be_unpickled_is_not_read(tmp_path: Path):
     sprung = tmp_path / "sprung"
     folder = folder_of(tmp_path / "sweep.nc")
     folder.mkdir()
-    save_cell(folder, 0, {"figures": np.zeros(3)})
+    save_arrays(folder, "sound", {"figures": np.zeros(3)})
     objects = np.array([_Trap(sprung)], dtype=object)
-    np.savez(folder / "cell-00001.npz", figures=objects)
-    assert {*load_cells(folder, [0, 1])} == {0}
+    np.savez(folder / "trap.npz", figures=objects)
+    assert load_arrays(folder, "sound") is not None
+    assert load_arrays(folder, "trap") is None
     assert not sprung.exists()
     # Unpickling would have made this call.
     made, arguments = objects[0].__reduce__()

@@ -5,8 +5,9 @@ import pytest
 
 from concord.experiments.monte_carlo.convergence import settling_interval, settling_steps
 from concord.experiments.monte_carlo.energy import energy_per_bit_nj
+from concord.experiments.monte_carlo.figure_table import FIGURES
 from concord.experiments.monte_carlo.pareto import front
-from concord.experiments.monte_carlo.run_figures import FIGURES, figures_of
+from concord.experiments.monte_carlo.run_figures import figures_of
 from concord.experiments.monte_carlo.run_frame import frame_of
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.summary import summarise

@@ -1,0 +1,193 @@
+"""Sweeps that keep moments, shards, and pieces that other sweeps find."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+import concord as cc
+from concord.experiments.__main__ import main
+from concord.experiments.sweep import pieces as pieces_module
+from concord.experiments.sweep.cells import MOST_WITH_HISTORIES, with_keep
+from concord.experiments.sweep.merge import merge_shards
+from concord.experiments.sweep.run import Shard, begin, finish
+from concord.experiments.sweep.specification import Specification, specify
+from concord.experiments.sweep.store import folder_of
+from concord.experiments.sweep.summary import figures_of
+from concord.experiments.sweep.workers import in_this_process
+from tests.experiments.flexray_support import concord, refused
+from tests.pages import ROOT
+
+ASKED = {"scenario": "oscillator", "nodes": "3,4", "steps": "24"}
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch):
+    """Pieces of 4 and 5 runs, so that a cell has several."""
+    monkeypatch.setattr(pieces_module, "LARGEST", 400)
+
+
+def specified(keep: str, runs: int = 12, **asked: str) -> Specification:
+    return with_keep(specify(ASKED | asked, runs=runs), keep)
+
+
+def swept(specification: Specification, out: Path | None = None, **where):
+    return finish(begin(specification, out, **where), in_this_process, lambda _: None)
+
+
+def whole(specification: Specification) -> xarray.Dataset:
+    dataset = swept(specification).dataset
+    assert dataset is not None
+    return dataset
+
+
+def equal(one, other) -> bool:
+    """Whether two data sets have the same bits, but for the specification."""
+    return all(one[name].to_numpy().tobytes() == other[name].to_numpy().tobytes() for name in one)
+
+
+def test_moments_and_figures_are_those_of_the_histories():
+    found = {keep: whole(specified(keep)) for keep in pieces_module.REDUCED}
+    assert "run" not in found["moments"].dims and "run" in found["figures"]["rmse"].dims
+    assert found["figures"]["error"].dims == ("nodes", "statistic", "step")
+    np.testing.assert_array_equal(found["figures"]["rmse"], found["histories"]["rmse"])
+    tables = {keep: figures_of(data).cells for keep, data in found.items()}
+    for keep in ("moments", "figures"):
+        for mine, theirs in zip(tables[keep], tables["histories"], strict=True):
+            for name in mine.__struct_fields__[1:]:
+                got, expected = np.array(getattr(mine, name)), np.array(getattr(theirs, name))
+                known = ~np.isnan(got)
+                assert known[0] == ~np.isnan(expected[0]), name
+                np.testing.assert_allclose(got[known], expected[known], rtol=1e-9, err_msg=name)
+    bound = found["histories"]["bound"]
+    np.testing.assert_allclose(found["moments"]["bound"], bound, rtol=1e-12)
+
+
+def test_large_sweeps_keep_moments_by_themselves():
+    small, runs = specify(ASKED), MOST_WITH_HISTORIES // (24 * 7) + 1
+    assert with_keep(small, None).keep == "histories"
+    assert with_keep(specify(ASKED, runs=runs), None).keep == "moments"
+
+
+@pytest.mark.parametrize("keep", ["moments", "figures", "histories"])
+def test_shards_in_any_order_are_the_undivided_sweep(keep: str, tmp_path: Path):
+    specification, shards = specified(keep), 3
+    undivided = whole(specification)
+    outs = [tmp_path / f"{number}.nc" for number in range(1, shards + 1)]
+    numbers = random.Random(3).sample(range(1, shards + 1), shards)
+    for number in numbers:
+        done = swept(specification, outs[number - 1], shard=Shard(number, shards))
+        assert done.dataset is None and done.computed_pieces == 2
+    folders = [folder_of(outs[number - 1]) for number in numbers]
+    with pytest.raises(ValueError, match=r"of 6 pieces are missing, the first of cell nodes="):
+        merge_shards(folders[1:], tmp_path / "m.nc")
+    assert equal(merge_shards(folders, tmp_path / "m.nc"), undivided)
+    with cc.load(tmp_path / "m.nc") as read:
+        # Nothing is read before it is used.
+        assert not read["rmse"].variable._in_memory
+        assert equal(read[list(undivided)], undivided)
+
+
+def test_shards_of_different_sweeps_are_not_merged(tmp_path: Path):
+    for number, nodes in ((1, "3"), (2, "4")):
+        out = tmp_path / f"{number}.nc"
+        swept(specified("moments", nodes=nodes), out, shard=Shard(number, 2))
+    folders = [tmp_path / f"{number}.nc.pieces" for number in (1, 2)]
+    with pytest.raises(ValueError, match=r"another sweep than .*: nodes was 3 and is 4"):
+        merge_shards(folders, tmp_path / "m.nc")
+
+
+def test_another_sweep_finds_the_pieces_of_the_same_cells(tmp_path: Path):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    first = swept(specified("moments", runs=10), tmp_path / "a.nc", pieces=kept)
+    assert (first.found_pieces, first.computed_pieces) == (0, 5)
+    # Ten runs are two whole pieces of the cell with 3 nodes, and two and a half of the other.
+    more = swept(specified("moments", runs=12, nodes="4,5"), tmp_path / "b.nc", pieces=kept)
+    assert (more.found_pieces, more.computed_pieces) == (2, 5)
+    assert equal(more.dataset, whole(specified("moments", runs=12, nodes="4,5")))
+
+
+def test_what_a_piece_follows_from_is_in_its_name():
+    (piece, *_), by = (
+        pieces_module.pieces_of(spec := specified("moments"), begin(spec, None).cells),
+        pieces_module.program(),
+    )
+    name = pieces_module.digest_of(piece, {}, by)
+    others = [
+        (piece._replace(first=1), {}, by),
+        (piece._replace(keep="figures"), {}, by),
+        (piece._replace(scenario=piece.scenario.replace(b'"seed":1', b'"seed":2')), {}, by),
+        (piece, {"oscillator": "other content"}, by),
+        (piece, {}, pieces_module.Origin(by.versions, "another commit")),
+    ]
+    assert name not in {pieces_module.digest_of(*other) for other in others}
+    assert name == pieces_module.digest_of(piece._replace(cell=7), {"./unused.py:X": "1"}, by)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--shard", "0/3"], "must be NUMBER/SHARDS"),
+        (["--shard", "4/3"], "must be NUMBER/SHARDS"),
+        (["--shard", "1/3", "--pieces", "kept"], "leave --pieces out"),
+        (["--keep", "moments", "--interval", "bootstrap"], "use --interval t or --keep figures"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert says in refused(concord(capsys, "sweep", *options, "-o", tmp_path / "s.nc"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_moments_are_printed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "s.nc"
+    fields = [part for field, text in ASKED.items() for part in (f"--{field}", text)]
+    main(["sweep", *fields, "--runs", "6", "--keep", "moments", "--workers", "1", "-o", str(out)])
+    printed = capsys.readouterr()
+    assert "2 cells of 6 runs" in printed.out and "keeps moments" in printed.err
+    main(["plot", str(out), "--out", str(tmp_path)])
+    assert (tmp_path / "error-over-time.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_sweep_killed_at_random_moments_goes_on_to_the_same_bits(tmp_path: Path):
+    # A cell of so many steps has four pieces.
+    command = [
+        sys.executable, "-m", "concord.experiments", "sweep", "--scenario", "oscillator",
+        "--nodes", "4", "--steps", "1000", "--seed", "1", "--runs", "500", "--workers", "1",
+        "--keep", "moments", "-o",
+    ]  # fmt: skip
+    alone, out = tmp_path / "alone.nc", tmp_path / "s.nc"
+    subprocess.run([*command, str(alone)], cwd=ROOT, check=True, capture_output=True)
+    drawn, kept = random.Random(5), 0
+    for _ in range(2):
+        started = subprocess.Popen(
+            [*command, str(out)], cwd=ROOT, start_new_session=True, stderr=subprocess.DEVNULL
+        )
+        until = time.monotonic() + 60
+        # One piece more, and then some: no run of the sweep is for nothing.
+        while len(list(folder_of(out).glob("*.npz"))) <= kept and time.monotonic() < until:
+            time.sleep(0.02)
+        time.sleep(drawn.uniform(0, 0.3))
+        os.killpg(started.pid, signal.SIGKILL)
+        started.wait()
+        if out.exists():
+            break
+        kept = len(list(folder_of(out).glob("*.npz")))
+    assert kept
+    again = subprocess.run([*command, str(out)], cwd=ROOT, check=True, capture_output=True)
+    assert out.exists() and (b"goes on: " in again.stderr or b"finished" in again.stderr)
+    with cc.load(alone) as one, cc.load(out) as other:
+        assert one.attrs["specification"] == other.attrs["specification"]
+        assert equal(one, other)
+    shutil.rmtree(folder_of(out), ignore_errors=True)
