@@ -5,6 +5,7 @@ import importlib.util
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from concord.plants.recorded.columns import UNITS
@@ -12,7 +13,7 @@ from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import ColumnMap, columns_from_toml
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import NODES
-from concord.plants.vehicle.parameters import car_from_toml
+from concord.plants.vehicle.parameters import ProcessNoise, car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
@@ -51,9 +52,11 @@ def test_its_python_holds():
 
 
 def test_its_files_are_read():
-    columns, car = blocks(PAGE, "toml")
+    columns, car, noise = blocks(PAGE, "toml")
     assert columns_from_toml(columns).steering_wheel is not None
     assert car_from_toml(car).steering_ratio == 15.5
+    read = car_from_toml(f"{car}\n{noise}").process_noise
+    np.testing.assert_allclose(read.std, ProcessNoise().std, rtol=5e-3)
 
 
 def test_it_names_all_there_is():

@@ -8,7 +8,7 @@ docs/vehicle.md, equations 1-5.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ class SingleTrack:
     axles: Axles
     tyre: Tyre
     time_step_s: float
-    noise_cov: np.ndarray
+    noise_cov: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., 3) one step later under control (..., 2)."""
@@ -122,12 +122,15 @@ def axles_of(car: Car) -> Axles:
     )
 
 
-def single_track(car: Car, tyre: Tyre, time_step_s: float, noise_cov: np.ndarray) -> SingleTrack:
-    """Return the model of a car.
+def single_track(
+    car: Car, tyre: Tyre, time_step_s: float, noise_cov: np.ndarray | None = None
+) -> SingleTrack:
+    """Return the model of a car; without process noise of its own unless that is given.
 
     Raises:
         ValueError: the time step is not positive.
     """
     if not time_step_s > 0:
         raise ValueError(f"time_step_s is {time_step_s}, but a sampling time is positive")
+    noise_cov = np.zeros((3, 3)) if noise_cov is None else noise_cov
     return SingleTrack(car, axles_of(car), tyre, time_step_s, noise_cov)

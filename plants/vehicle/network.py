@@ -61,11 +61,11 @@ CHANNEL_NAMES = (
 class DrivenCar:
     """Model of every node: the single-track model, driven by the inputs that the node has.
 
-    walk_std: of steering rad and acceleration m/s^2 in a step.
+    noise_factor: standard deviations of the process noise over those of the car's file.
     """
 
     single_track: SingleTrack
-    walk_std: tuple[float, float] = (0.0015, 0.02)
+    noise_factor: float = 1.0
 
     @property
     def time_step_s(self) -> float:
@@ -86,10 +86,8 @@ class DrivenCar:
 
     @cached_property
     def _noise_cov(self) -> np.ndarray:
-        variances = np.concatenate(
-            [np.diag(self.single_track.noise_cov), [1e-10], np.square(self.walk_std)]
-        )
-        return np.diag(variances)
+        std = self.noise_factor * np.array(self.single_track.car.process_noise.std)
+        return np.diag(self.time_step_s * np.square(std))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 import json
 import math
 import tomllib
-from typing import Literal
+from collections.abc import Iterator
+from typing import Any, Literal
 
 import msgspec
 
@@ -12,6 +13,35 @@ GRAVITY_M_S2 = 9.81
 
 class CarError(ValueError):
     """Parameters that no car can have, or a file that holds none."""
+
+
+def _require_positive(what: str, values: msgspec.Struct) -> None:
+    for field, value in msgspec.structs.asdict(values).items():
+        if isinstance(value, float | int) and not 0 < value < math.inf:
+            raise CarError(f"{what}: {field} is {value}, but must be above 0 and finite")
+
+
+class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Motion that the single-track model does not know: standard deviations that a second adds.
+
+    They grow with the square root of time. Steering and acceleration are random walks in the
+    filters, as only their sensors know them. Raises CarError for a value that is not positive.
+    """
+
+    yaw_rate_rad_s: float = (1e-5 / 0.005) ** 0.5
+    side_slip_rad: float = (5e-7 / 0.005) ** 0.5
+    speed_m_s: float = (1e-7 / 0.005) ** 0.5
+    heading_rad: float = (1e-10 / 0.005) ** 0.5
+    steering_rad: float = 0.0015 / 0.005**0.5
+    acceleration_m_s2: float = 0.02 / 0.005**0.5
+
+    def __post_init__(self) -> None:
+        _require_positive("process_noise", self)
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of [yaw rate, side slip, speed, heading, steering, acceleration]."""
+        return msgspec.structs.astuple(self)
 
 
 class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -27,6 +57,7 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         front_track_m, rear_track_m: between the wheels of an axle.
         driven_axle: front or rear; the wheels of the other tell the speed better.
         steering_ratio: steering-wheel angle over road-wheel angle.
+        process_noise: of the filters that estimate the motion of this car.
 
     Raises CarError for a value that is not positive.
     """
@@ -43,13 +74,10 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     rear_track_m: float = 1.5
     driven_axle: Literal["front", "rear"] = "front"
     steering_ratio: float = 1.0
+    process_noise: ProcessNoise = ProcessNoise()
 
     def __post_init__(self) -> None:
-        for field, value in msgspec.structs.asdict(self).items():
-            if isinstance(value, float | int) and not 0 < value < math.inf:
-                raise CarError(
-                    f"car {self.name!r}: {field} is {value}, but must be above 0 and finite"
-                )
+        _require_positive(f"car {self.name!r}", self)
 
     @property
     def wheelbase_m(self) -> float:
@@ -82,12 +110,20 @@ def car_from_toml(text: str) -> Car:
 
 def car_to_toml(car: Car) -> str:
     """Return the TOML text of a car."""
-    lines = [
-        # A JSON string without escapes of its own is a TOML string; names are printable text.
-        f"{field} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else value}"
-        for field, value in msgspec.structs.asdict(car).items()
-    ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(_toml_lines(msgspec.to_builtins(car), "")) + "\n"
+
+
+def _toml_lines(fields: dict[str, Any], table: str) -> Iterator[str]:
+    """Lines of a table: its own values before the tables below it, as TOML demands."""
+    for field, value in fields.items():
+        if not isinstance(value, dict):
+            # A JSON string without escapes of its own is a TOML string; names are printable text.
+            is_text = isinstance(value, str)
+            yield f"{field} = {json.dumps(value, ensure_ascii=False) if is_text else value}"
+    for field, value in fields.items():
+        if isinstance(value, dict):
+            yield f"\n[{table}{field}]"
+            yield from _toml_lines(value, f"{table}{field}.")
 
 
 BMW_320I = Car(

@@ -117,7 +117,7 @@ def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: np.ndarray) -> np.
         limit * car.front_load_n,
         limit * car.rear_load_n,
     )
-    model = SingleTrack(car, axles, tyre, driven.time_step_s, np.zeros((3, 3)))
+    model = SingleTrack(car, axles, tyre, driven.time_step_s)
     steering_offset, *offsets = (_OFFSETS * parameters[:, _STEERING_OFFSET:_FRICTION]).T
     state = np.zeros((len(parameters), 3))
     state[:, 0] = np.nan_to_num(driven.yaw_rate_rad_s[0])

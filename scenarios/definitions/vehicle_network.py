@@ -1,14 +1,13 @@
 """`vehicle-network`: a car's sensors as nodes on its FlexRay bus, one cycle of 5 ms a step.
 
 A --car is simulated with 29 states (CommonRoad) through a --manoeuvre, or a logged drive replayed
-with --data. Every node learns how noisy its own sensors are (with --filter ukf it believes their
-data sheets). --noise says what the sensors really do.
+with --data. Filters believe in the process noise of the car, times --process-noise. Every node
+learns how noisy its own sensors are (with --filter ukf it believes their data sheets). --noise says
+what the sensors really do.
 """
 
 from collections.abc import Callable
 from functools import cache
-
-import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import read_car, read_log
@@ -37,9 +36,6 @@ from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
 """One cycle of the car's bus."""
-
-PROCESS_VARIANCES = (1e-5, 5e-7, 1e-7)
-"""Of yaw rate, side slip and speed in a step: what the single-track model leaves out."""
 
 Errors = tuple[tuple[SensorError, ...], ...]
 
@@ -105,14 +101,14 @@ def vehicle_of(scenario: Scenario) -> VehicleNetwork:
 
 
 @cache
-def _believed(name: str, data: str | None) -> DrivenCar:
+def _believed(name: str, data: str | None, noise_factor: float) -> DrivenCar:
     car: Car = FITTED_CARS[name] if data is None else read_car(data)
-    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S, np.diag(PROCESS_VARIANCES)))
+    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor)
 
 
 def _model(scenario: Scenario) -> DrivenCar:
     vehicle = vehicle_of(scenario)
-    return _believed(vehicle.car, vehicle.data)
+    return _believed(vehicle.car, vehicle.data, vehicle.process_noise)
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:

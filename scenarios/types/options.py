@@ -39,6 +39,7 @@ class ScenarioOptions(TypedDict, total=False):
     static_slots: int
     car: str
     manoeuvre: str
+    process_noise: float
     nodes: int
     graph: GRAPH
     weights: str
@@ -106,6 +107,7 @@ class SweptOptions(TypedDict, total=False):
     static_slots: Sequence[int] | np.ndarray | int
     car: Sequence[str] | np.ndarray | str
     manoeuvre: Sequence[str] | np.ndarray | str
+    process_noise: Sequence[float] | np.ndarray | float
     nodes: Sequence[int] | np.ndarray | int
     graph: Sequence[GRAPH] | np.ndarray | GRAPH
     weights: Sequence[str] | np.ndarray | str

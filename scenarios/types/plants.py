@@ -115,6 +115,13 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
         Option("Noise of the sensors of the car."),
     ] = "growing"
     data: Annotated[str | None, DATA] = None
+    process_noise: Annotated[
+        float,
+        Option(
+            "Standard deviations of the filters' process noise over those of the car file.",
+            above=0,
+        ),
+    ] = 1.0
 
 
 class UserPlant(FromFile, SensedPlantChoice, frozen=True, kw_only=True, tag=USER):

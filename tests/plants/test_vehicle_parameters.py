@@ -7,9 +7,12 @@ from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.parameters import (
     BMW_320I,
     CarError,
+    ProcessNoise,
     car_from_toml,
     car_to_toml,
 )
+
+MY_CAR = car_to_toml(BMW_320I).partition("\n[")[0] + "\n"
 
 
 def test_a_car_survives_its_file():
@@ -17,8 +20,15 @@ def test_a_car_survives_its_file():
         BMW_320I,
         *FITTED_CARS.values(),
         msgspec.structs.replace(BMW_320I, name='a "car" \\ é'),
+        msgspec.structs.replace(BMW_320I, process_noise=ProcessNoise(side_slip_rad=0.5)),
     ):
         assert car_from_toml(car_to_toml(car)) == car
+
+
+def test_a_file_may_leave_process_noise_out_or_give_some_of_it():
+    assert car_from_toml(MY_CAR) == BMW_320I
+    given = car_from_toml(MY_CAR + "[process_noise]\nsteering_rad = 0.1\n").process_noise
+    assert given == ProcessNoise(steering_rad=0.1)
 
 
 @pytest.mark.parametrize(
@@ -30,6 +40,8 @@ def test_a_car_survives_its_file():
         (car_to_toml(BMW_320I).replace('"rear"', '"both"'), "both"),
         (car_to_toml(BMW_320I).replace("friction = 1.0489", "friction = -1.0"), "above 0"),
         (car_to_toml(BMW_320I).replace("friction = 1.0489", "friction = nan"), "above 0"),
+        (MY_CAR + "[process_noise]\nside_slip_rad = 0.0\n", "process_noise: side_slip_rad is 0.0"),
+        (MY_CAR + "[process_noise]\nslip = 0.1\n", "slip"),
     ],
 )
 def test_a_bad_file_is_refused_by_what_is_wrong(text: str, says: str):

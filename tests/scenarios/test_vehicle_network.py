@@ -17,6 +17,7 @@ from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import write_drive
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import SIDE_SLIP, STATE_NAMES
+from concord.plants.vehicle.parameters import ProcessNoise
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import local_only
 from concord.scenarios.build import build_node, filter_of
@@ -24,6 +25,8 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
+from tests.plants.test_vehicle_network import model_drive
+from tests.test_batched_agreement import check_agreement
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
@@ -103,6 +106,31 @@ def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
     assert np.sqrt((error**2).mean()) < np.radians(0.15)
 
 
+def test_process_noise_is_that_of_the_cars_file_times_the_option(tmp_path: Path):
+    """The matrix is that of the filters in every driver; the usual one is what it always was."""
+    usual = np.diag([1e-5, 5e-7, 1e-7, 1e-10, 0.0015**2, 0.02**2])
+    definition = definition_named("vehicle-network")
+
+    def noise_cov(**options) -> np.ndarray:
+        return definition.model(setup(steps=2, **options).scenario).process_noise_cov(0)
+
+    np.testing.assert_allclose(noise_cov(), usual, rtol=1e-12)
+    np.testing.assert_allclose(noise_cov(process_noise=3.0), 9 * usual, rtol=1e-12)
+    noise = ProcessNoise(side_slip_rad=0.3)
+    car = msgspec.structs.replace(FITTED_CARS["bmw-320i"], process_noise=noise)
+    write_drive(tmp_path, model_drive(), car)
+    own = noise_cov(data=str(tmp_path), process_noise=2.0)
+    assert own[SIDE_SLIP, SIDE_SLIP] == pytest.approx(0.005 * 0.6**2)
+    assert own[0, 0] == pytest.approx(4e-5)
+
+
+def test_drivers_agree_on_another_process_noise():
+    options = {"steps": 12, "filter": "ukf"}
+    check_agreement(scenario("vehicle-network", process_noise=4.0, **options), (0,))
+    other = run(setup(process_noise=4.0, **options)).mean - run(setup(**options)).mean
+    assert np.abs(other).max() > 1e-4
+
+
 def test_nodes_learn_only_if_they_are_told_to():
     for options, learns in (({}, True), ({"filter": "ukf"}, False)):
         prepared = setup(steps=2, **options)
@@ -123,6 +151,7 @@ def test_nodes_learn_only_if_they_are_told_to():
         ({"cluster": "demo"}, "--stretch 2"),
         ({"data": "/nowhere"}, "no such folder"),
         ({"car": "lada"}, "Valid names are bmw-320i"),
+        ({"process_noise": 0.0}, "--process-noise 0.0: must be above 0"),
         ({"car": "bmw-320i-soft", "manoeuvre": "double-lane-change"}, "spins out"),
         ({"data": "here", "car": "vw-vanagon"}, "--car vw-vanagon: of simulated drives"),
     ],
