@@ -13,10 +13,11 @@ from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import ColumnMap, columns_from_toml
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import NODES
-from concord.plants.vehicle.parameters import ProcessNoise, car_from_toml
+from concord.plants.vehicle.parameters import ProcessNoise, SensorSheets, car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
+SENSORS = [name for name in SensorSheets.__struct_fields__ if not name.endswith("_m")]
 PAPER = (ROOT / "docs" / "papers" / "adlukf.md").read_text(encoding="utf-8")
 
 
@@ -52,11 +53,13 @@ def test_its_python_holds():
 
 
 def test_its_files_are_read():
-    columns, car, noise = blocks(PAGE, "toml")
+    columns, car, noise, sensors = blocks(PAGE, "toml")
     assert columns_from_toml(columns).steering_wheel is not None
     assert car_from_toml(car).steering_ratio == 15.5
     read = car_from_toml(f"{car}\n{noise}").process_noise
     np.testing.assert_allclose(read.std, ProcessNoise().std, rtol=5e-3)
+    assert car_from_toml(f"{car}\n{sensors}").sensors.lateral_acceleration.delay_s == 0.01
+    assert all(f"`{name}`" in PAGE or f"sensors.{name}" in PAGE for name in SENSORS)
 
 
 def test_it_names_all_there_is():

@@ -1,6 +1,7 @@
-"""`concord identify`: the tyre stiffness of a car from one of its drives, by least squares."""
+"""`concord identify`: tyres, sensors and process noise of a car from a drive."""
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,23 +12,28 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from concord.experiments.identification.fit import CarFit, FoundParameter, fit
+from concord.experiments.identification.sought import value_at
 from concord.experiments.places import make_folder
+from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.user_errors import user_errors
 from concord.plants.vehicle.drive_log import (
     CAR,
     COLUMNS,
     DRIVE,
     LoggedDrive,
+    columns_from_toml,
     read_folder,
     write_drive,
 )
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import linear_tyre, tanh_tyre
-from concord.plants.vehicle.parameters import car_to_toml
+from concord.plants.vehicle.parameters import Car, car_to_toml
 from concord.plants.vehicle.sensors import TEST_CAR, logged
 from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified, identify
 from concord.runtime.disk import writing
+from concord.scenarios.definitions.vehicle_network import TIME_STEP_S
 from concord.topology.names import unknown_name
 
 _TYRES = {"linear": linear_tyre, "saturating": tanh_tyre}
@@ -51,6 +57,11 @@ class IdentifyOptions:
     """Of that noise."""
     tyre: Literal["linear", "saturating"] = "saturating"
     """Law of the lateral force: proportional to slip, or with a limit (tanh)."""
+    seek: Literal["tyres", "everything"] = "everything"
+    """The tyres alone, which takes seconds, or also process noise, the yaw inertia, and noise,
+    offsets, delays and places of sensors."""
+    min_speed: float = 5.0
+    """Slower parts of the drive do not count, in m/s."""
     friction: bool = False
     """Seek the friction too; only a drive near the limit tells it."""
     out: Path | None = None
@@ -59,8 +70,26 @@ class IdentifyOptions:
     """Print one JSON object instead of a table."""
 
 
+class ParameterFigures(msgspec.Struct, frozen=True):
+    """A parameter in the file and as found, with its interval of 95 %, None if it was not seen.
+
+    A noise that is not seen is below `high`; all else that is not seen stays as it was.
+    """
+
+    name: str
+    unit: str
+    before: float
+    found: float
+    low: float | None
+    high: float | None
+    seen: bool
+
+
 class Findings(msgspec.Struct, frozen=True):
-    """Printed result; standard errors assume white residuals, unlike those of a drive."""
+    """Printed result; standard errors assume white residuals, unlike those of a drive.
+
+    `nis_before` and `nis_after` are those of the filter that hears everything, 1 if all is right.
+    """
 
     car: str
     front_stiffness_n_rad: float
@@ -74,31 +103,74 @@ class Findings(msgspec.Struct, frozen=True):
     lateral_acceleration_rms_m_s2: float | None
     side_slip_rms_rad: float | None
     condition: float
+    parameters: list[ParameterFigures]
+    nis_before: float | None
+    nis_after: float | None
+    nis_interval: tuple[float, float] | None
+    converged: bool
 
 
 def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) -> None:
-    """Find the cornering stiffness of both axles that explains a drive best.
+    """Find the tyres, the sensors and the process noise that explain a drive best.
 
-    Method: output error. The logged steering and speed drive the single-track model. The fit varies
-    stiffnesses, friction, and constant offsets of steering and sensors. It minimises the squared
-    errors of yaw rate, lateral acceleration and, where logged, side slip.
+    The tyres are fitted by output error: the logged steering and speed drive the single-track
+    model, and the squared errors of yaw rate, lateral acceleration and, where logged, side slip are
+    least. From there everything else, and the tyres again, is fitted by the likelihood of the
+    innovations of the filter that `vehicle-network` runs.
     """
     with user_errors():
         for option, path in (("--out", options.out), ("--log", options.log)):
             if path is not None:
                 _require_new(option, path)
+        if not options.min_speed >= 0:
+            raise ValueError(f"--min-speed {options.min_speed:g}: must be 0 or more, in m/s")
         given = _drive(options)
         found = identify(
-            given.drive, given.car, _TYRES[options.tyre], seek_friction=options.friction
+            given.drive,
+            given.car,
+            _TYRES[options.tyre],
+            seek_friction=options.friction,
+            min_speed_m_s=options.min_speed,
         )
+        fitted = _everything(options, given, found) if options.seek == "everything" else None
+    if fitted is not None:
+        found = found._replace(car=fitted.car)
     if options.out is not None:
         with writing(options.out):
             options.out.write_text(car_to_toml(found.car), encoding="utf-8")
-    findings = _findings(found)
+    findings = _findings(found, given.car, fitted)
     if options.json:
         sys.stdout.write(msgspec.json.encode(findings).decode() + "\n")
         return
-    Console().print(_table(findings, given))
+    console = Console()
+    console.print(_table(findings, given))
+    for line in _in_words(findings):
+        console.print(line, highlight=False)
+
+
+def _everything(options: IdentifyOptions, given: LoggedDrive, tyres: Identified) -> CarFit:
+    return fit(
+        given.drive,
+        tyres.car,
+        _TYRES[options.tyre],
+        friction=options.friction,
+        ratio=options.data is not None and not _logs_road_wheels(options.data),
+        time_step_s=TIME_STEP_S,
+        min_speed_m_s=options.min_speed,
+        on_step=lambda: _say("."),
+    )
+
+
+def _logs_road_wheels(folder: Path) -> bool:
+    """Whether a log has the angle of the road wheels, and not that of the steering wheel."""
+    columns = columns_from_toml((folder / COLUMNS).read_text(encoding="utf-8-sig"))
+    return columns.steering is not None
+
+
+def _say(sign: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(sign)
+        sys.stderr.flush()
 
 
 def _drive(options: IdentifyOptions) -> LoggedDrive:
@@ -138,7 +210,7 @@ def _require_new(option: str, path: Path) -> None:
     make_folder(path.parent, option, path)
 
 
-def _findings(found: Identified) -> Findings:
+def _findings(found: Identified, before: Car, fitted: CarFit | None) -> Findings:
     yaw_rate, acceleration, side_slip = found.residual_rms
     front_std, rear_std = found.stiffness_std_n_rad
     return Findings(
@@ -154,6 +226,28 @@ def _findings(found: Identified) -> Findings:
         lateral_acceleration_rms_m_s2=_known(acceleration),
         side_slip_rms_rad=_known(side_slip),
         condition=found.condition,
+        parameters=[] if fitted is None else [_parameter(one, before) for one in fitted.found],
+        nis_before=None if fitted is None else fitted.nis_before,
+        nis_after=None if fitted is None else fitted.nis_after,
+        nis_interval=None if fitted is None else _nis_interval(fitted),
+        converged=fitted is None or fitted.converged,
+    )
+
+
+def _nis_interval(fitted: CarFit) -> tuple[float, float]:
+    found = nis_interval(fitted.nis_after * fitted.freedoms, fitted.freedoms)
+    return found.low, found.high
+
+
+def _parameter(found: FoundParameter, before: Car) -> ParameterFigures:
+    return ParameterFigures(
+        name=found.sought.name,
+        unit=found.sought.unit,
+        before=value_at(before, found.sought.path),
+        found=found.value,
+        low=_known(found.low),
+        high=_known(found.high),
+        seen=found.seen,
     )
 
 
@@ -162,31 +256,21 @@ def _known(value: float) -> float | None:
 
 
 def _table(findings: Findings, logged: LoggedDrive) -> Table:
-    drive = logged.drive
+    drive, f = logged.drive, findings
+    white = not findings.parameters
     table = Table(
         "quantity",
         "found",
-        "± (white residuals)",
+        "± (white residuals)" if white else "95 % interval",
         "before",
         title=f"{findings.car}: {drive.steps} samples of {1e3 * drive.time_step_s:.4g} ms",
         title_justify="left",
     )
-    f, car = findings, logged.car
-    table.add_row(
-        "front stiffness, N/rad",
-        f"{f.front_stiffness_n_rad:.0f}",
-        f"{f.front_std_n_rad:.0f}",
-        f"{car.front_stiffness_n_rad:.0f}",
-    )
-    table.add_row(
-        "rear stiffness, N/rad",
-        f"{f.rear_stiffness_n_rad:.0f}",
-        f"{f.rear_std_n_rad:.0f}",
-        f"{car.rear_stiffness_n_rad:.0f}",
-    )
-    friction_std = "not sought" if f.friction_std is None else f"{f.friction_std:.3f}"
-    table.add_row("friction", f"{f.friction:.3f}", friction_std, f"{car.friction:.3f}")
-    table.add_row("steering offset, rad", f"{f.steering_offset_rad:.5f}", "", "")
+    for one in findings.parameters:
+        name = f"{one.name}, {one.unit}" if one.unit else one.name
+        table.add_row(name, f"{one.found:.4g}", _interval(one), f"{one.before:.4g}")
+    if white:
+        _add_tyres(table, findings, logged.car)
     table.add_section()
     for name, value in (
         ("left over of yaw rate, RMS, rad/s", f.yaw_rate_rms_rad_s),
@@ -196,3 +280,40 @@ def _table(findings: Findings, logged: LoggedDrive) -> Table:
         table.add_row(name, "not logged" if value is None else f"{value:.4g}", "", "")
     table.add_row("condition number", f"{f.condition:.0f}", "", "")
     return table
+
+
+def _add_tyres(table: Table, f: Findings, car: Car) -> None:
+    rows = (
+        ("front", f.front_stiffness_n_rad, f.front_std_n_rad, car.front_stiffness_n_rad),
+        ("rear", f.rear_stiffness_n_rad, f.rear_std_n_rad, car.rear_stiffness_n_rad),
+    )
+    for axle, found, std, before in rows:
+        table.add_row(f"{axle} stiffness, N/rad", f"{found:.0f}", f"{std:.0f}", f"{before:.0f}")
+    friction_std = "not sought" if f.friction_std is None else f"{f.friction_std:.3f}"
+    table.add_row("friction", f"{f.friction:.3f}", friction_std, f"{car.friction:.3f}")
+    table.add_row("steering offset, rad", f"{f.steering_offset_rad:.5f}", "", "")
+
+
+def _interval(one: ParameterFigures) -> str:
+    if one.high is None:
+        return "not seen"
+    return f"{one.low:.4g} to {one.high:.4g}" if one.seen else f"below {one.high:.4g}"
+
+
+def _in_words(f: Findings) -> Iterator[str]:
+    """Name the parameters that the drive did not show, and NIS before and after."""
+    if f.nis_interval is None:
+        return
+    unseen = [one.name for one in f.parameters if one.high is None]
+    if unseen:
+        yield f"Not seen in this drive, left as they were: {', '.join(unseen)}."
+    small = [one.name for one in f.parameters if one.high is not None and not one.seen]
+    if small:
+        yield f"Too small to see, below a bound: {', '.join(small)}."
+    low, high = f.nis_interval
+    yield (
+        f"NIS of the filter that hears everything: {f.nis_before:.3g} before, {f.nis_after:.3g} "
+        f"after (95 %: {low:.3g} to {high:.3g}), where 1 is right."
+    )
+    if not f.converged:
+        yield "The fit ran out of steps: identify again from the car that --out writes."

@@ -100,8 +100,15 @@ class SingleTrack:
 
     def lateral_acceleration(self, state: np.ndarray, steering: np.ndarray) -> np.ndarray:
         """Return the reading of a lateral accelerometer (...), m/s^2."""
+        return self.accelerations(state, steering)[0]
+
+    def accelerations(
+        self, state: np.ndarray, steering: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations (...) of the centre of mass: lateral, m/s^2, and of the yaw, rad/s^2."""
         front, rear = self.axle_forces(state, steering)
-        return (front + rear) / self.car.mass_kg
+        moment = self.car.front_axle_m * front - self.car.rear_axle_m * rear
+        return (front + rear) / self.car.mass_kg, moment / self.car.yaw_inertia_kg_m2
 
     def measure(self, state: np.ndarray, control: np.ndarray) -> np.ndarray:
         """Lateral acceleration, yaw rate and speed (..., 3) of states (..., 3): z of (5)."""

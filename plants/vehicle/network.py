@@ -15,7 +15,7 @@ from concord.plants.angles import wrapped
 from concord.plants.draws import Draws, GeneratorFor
 from concord.plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
 from concord.plants.vehicle.model import SingleTrack
-from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.parameters import Car, SensorSheet
 from concord.plants.vehicle.sensors import SensorError, contaminated, noise_std
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
@@ -38,11 +38,6 @@ ERRORS: tuple[tuple[SensorError, ...], ...] = (
 )
 """Data sheets of each node's channels, in SI: the two wheels that are not driven; yaw rate,
 lateral and longitudinal acceleration; steering; speed and course over ground."""
-
-BELIEVED_STD = ((0.1, 0.1), (0.005, 1.0, 0.05), (0.0005,), (0.05, 0.003))
-"""Noise that the filters assume. The values are those of the data sheets, except the lateral
-acceleration, whose value covers the error of the single-track model."""
-
 
 CHANNEL_NAMES = (
     (("left wheel speed", "m/s"), ("right wheel speed", "m/s")),
@@ -94,19 +89,22 @@ class DrivenCar:
 class CarSensor:
     """A node's sensor: `read` maps states (..., 6) to its channels (..., m).
 
-    noise_std: (m,), what the node believes at the start. course: the channel that is an angle.
-    channels: name and unit of each.
+    sheets: of each channel, what the node believes at the start. course: the channel that is an
+    angle. channels: name and unit of each.
     """
 
     read: Callable[[np.ndarray], np.ndarray]
-    noise_std: tuple[float, ...]
+    sheets: tuple[SensorSheet, ...]
     course: int | None = None
     gate: float | None = None
     channels: tuple[tuple[str, str], ...] = ()
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Channels (..., m) of states (..., 6), without noise."""
-        return self.read(state)
+        value = self.read(state)
+        for channel, sheet in enumerate(self.sheets):
+            value[..., channel] += sheet.offset
+        return value
 
     def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., m), a course within (-pi, pi]."""
@@ -117,18 +115,18 @@ class CarSensor:
 
     def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The node's channels (..., m) of a delivery (..., 3), and their covariance (..., m, m)."""
-        m = len(self.noise_std)
+        m = len(self.sheets)
         return delivered[..., :m], np.broadcast_to(self._noise_cov, (*delivered.shape[:-1], m, m))
 
     @cached_property
     def _noise_cov(self) -> np.ndarray:
-        return np.diag(np.square(self.noise_std))
+        return np.diag([sheet.noise**2 for sheet in self.sheets])
 
 
 def sensor(node: int, single_track: SingleTrack) -> CarSensor:
     """Return the sensor of one of `NODES`."""
 
-    car = single_track.car
+    car, sheets = single_track.car, single_track.car.sensors
 
     def rear_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.rear_track_m * state[..., YAW_RATE]
@@ -143,11 +141,13 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
         return np.stack(along, axis=-1)
 
     def inertial(state: np.ndarray) -> np.ndarray:
-        lateral = single_track.lateral_acceleration(state, state[..., STEERING])
-        return np.stack([state[..., YAW_RATE], lateral, state[..., ACCELERATION]], axis=-1)
+        ahead, yaw_rate = sheets.accelerometer_ahead_m, state[..., YAW_RATE]
+        lateral, turning = single_track.accelerations(state, state[..., STEERING])
+        forward = state[..., ACCELERATION] - ahead * yaw_rate**2
+        return np.stack([yaw_rate, lateral + ahead * turning, forward], axis=-1)
 
     def steering(state: np.ndarray) -> np.ndarray:
-        return state[..., STEERING : STEERING + 1]
+        return state[..., STEERING : STEERING + 1].copy()
 
     def satellites(state: np.ndarray) -> np.ndarray:
         over_ground = state[..., SPEED] / np.cos(state[..., SIDE_SLIP])
@@ -156,8 +156,14 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
 
     free_wheels = rear_wheels if car.driven_axle == "front" else front_wheels
     read = (free_wheels, inertial, steering, satellites)[node]
+    of_channels = (
+        (sheets.wheel_speed, sheets.wheel_speed),
+        (sheets.yaw_rate, sheets.lateral_acceleration, sheets.longitudinal_acceleration),
+        (sheets.steering,),
+        (sheets.ground_speed, sheets.course),
+    )
     course = 1 if read is satellites else None
-    return CarSensor(read, BELIEVED_STD[node], course, channels=CHANNEL_NAMES[node])
+    return CarSensor(read, of_channels[node], course, channels=CHANNEL_NAMES[node])
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,13 @@ class CarError(ValueError):
     """Parameters that no car can have, or a file that holds none."""
 
 
-def _require_positive(what: str, values: msgspec.Struct) -> None:
+def _require_positive(what: str, values: msgspec.Struct, signed: tuple[str, ...] = ()) -> None:
     for field, value in msgspec.structs.asdict(values).items():
-        if isinstance(value, float | int) and not 0 < value < math.inf:
+        if not isinstance(value, float | int):
+            continue
+        if field in signed and not math.isfinite(value):
+            raise CarError(f"{what}: {field} is {value}, but must be finite")
+        if field not in signed and not 0 < value < math.inf:
             raise CarError(f"{what}: {field} is {value}, but must be above 0 and finite")
 
 
@@ -44,6 +48,51 @@ class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return msgspec.structs.astuple(self)
 
 
+class SensorSheet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A sensor as filters believe in it, in SI units.
+
+    Attributes:
+        noise: standard deviation of a reading.
+        offset: what a reading is too large by.
+        delay_s: how much later than the motion a reading is stamped.
+
+    Raises CarError for noise that is not positive, and for a value that is not finite.
+    """
+
+    noise: float
+    offset: float = 0.0
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("sensors", self, signed=("offset", "delay_s"))
+
+
+class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The sensors of a car.
+
+    The noise of the lateral acceleration covers the error of the single-track model as well. The
+    side slip is that of an optical sensor, the truth for the errors of estimates.
+
+    Attributes:
+        accelerometer_ahead_m: of the centre of mass, along the car.
+        slip_sensor_ahead_m: likewise of the optical sensor.
+    """
+
+    wheel_speed: SensorSheet = SensorSheet(noise=0.1)
+    yaw_rate: SensorSheet = SensorSheet(noise=0.005)
+    lateral_acceleration: SensorSheet = SensorSheet(noise=1.0)
+    longitudinal_acceleration: SensorSheet = SensorSheet(noise=0.05)
+    steering: SensorSheet = SensorSheet(noise=0.0005)
+    ground_speed: SensorSheet = SensorSheet(noise=0.05)
+    course: SensorSheet = SensorSheet(noise=0.003)
+    side_slip: SensorSheet = SensorSheet(noise=0.001)
+    accelerometer_ahead_m: float = 0.0
+    slip_sensor_ahead_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("sensors", self, signed=("accelerometer_ahead_m", "slip_sensor_ahead_m"))
+
+
 class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Mass, geometry and tyres of one car, in ISO 8855 axes (x forward, y left, yaw to the left).
 
@@ -57,7 +106,7 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         front_track_m, rear_track_m: between the wheels of an axle.
         driven_axle: front or rear; the wheels of the other tell the speed better.
         steering_ratio: steering-wheel angle over road-wheel angle.
-        process_noise: of the filters that estimate the motion of this car.
+        process_noise, sensors: of the filters that estimate the motion of this car.
 
     Raises CarError for a value that is not positive.
     """
@@ -75,6 +124,7 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     driven_axle: Literal["front", "rear"] = "front"
     steering_ratio: float = 1.0
     process_noise: ProcessNoise = ProcessNoise()
+    sensors: SensorSheets = SensorSheets()
 
     def __post_init__(self) -> None:
         _require_positive(f"car {self.name!r}", self)

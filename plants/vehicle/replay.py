@@ -10,6 +10,7 @@ from concord.plants.recorded.channels import (
     mean_by_step,
     readings_by_step,
 )
+from concord.plants.vehicle.corrections import corrected
 from concord.plants.vehicle.drive_log import speeds_in
 from concord.plants.vehicle.network import (
     CHANNELS,
@@ -31,7 +32,8 @@ def replayed(channels: Mapping[str, ChannelReadings], car: Car, time_step_s: flo
     """The plant of a logged drive: its sensors deliver each reading once, with the log's own noise.
 
     A reading comes at the step nearest to its stamp, beside others of that step. The truth is what
-    the log says of the side slip, and NaN otherwise. The start is centred on the first readings,
+    the log says of the side slip at the centre of mass, and NaN otherwise. Delays of the car's
+    sensors are taken from the stamps. The start is centred on the first readings,
     with the spread of `PRIOR_STD`, several times that of the sensors.
 
     Args:
@@ -39,6 +41,7 @@ def replayed(channels: Mapping[str, ChannelReadings], car: Car, time_step_s: flo
         car: that was driven.
         time_step_s: between the steps.
     """
+    channels = corrected(channels, car.sensors)
     grid = grid_over(channels, time_step_s)
     free = (
         ("rear_left", "rear_right") if car.driven_axle == "front" else ("front_left", "front_right")

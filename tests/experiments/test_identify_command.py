@@ -25,7 +25,19 @@ def folder(tmp_path: Path) -> Path:
 
 def test_it_writes_the_car_that_it_found(folder: Path, capsys):
     out = folder / "found.toml"
-    main(["identify", "--data", str(folder), "--friction", "--out", str(out), "--json"])
+    main(
+        [
+            "identify",
+            "--data",
+            str(folder),
+            "--friction",
+            "--seek",
+            "tyres",
+            "--out",
+            str(out),
+            "--json",
+        ]
+    )
     said = json.loads(capsys.readouterr().out)
     car = car_from_toml(out.read_text())
     assert car.front_stiffness_n_rad == said["front_stiffness_n_rad"]
@@ -36,7 +48,7 @@ def test_it_writes_the_car_that_it_found(folder: Path, capsys):
 
 
 def test_the_table_shows_what_was_there_before(folder: Path, capsys):
-    main(["identify", "--data", str(folder), "--tyre", "linear"])
+    main(["identify", "--data", str(folder), "--tyre", "linear", "--seek", "tyres"])
     text = capsys.readouterr().out
     for words in ("front stiffness, N/rad", "129697", "not sought", "condition number"):
         assert words in text
@@ -53,6 +65,7 @@ def test_the_table_shows_what_was_there_before(folder: Path, capsys):
         (["--manoeuvre", "serpentine", "--car", "lada"], "Valid names are bmw-320i"),
         (["--manoeuvre", "serpentine", "--seed", "-1"], "--seed -1: must be 0 or more"),
         (["--manoeuvre", "serpentine", "--out", "/dev/null/x"], "cannot be made"),
+        (["--manoeuvre", "serpentine", "--min-speed", "-1"], "--min-speed -1: must be 0 or more"),
     ],
 )
 def test_a_mistake_is_one_sentence(arguments: list[str], says: str, capsys):
@@ -70,7 +83,7 @@ def test_nothing_is_written_over(folder: Path, capsys):
     importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
-    main(["identify", "--manoeuvre", "step-steer", "--json"])
+    main(["identify", "--manoeuvre", "step-steer", "--seek", "tyres", "--json"])
     said = json.loads(capsys.readouterr().out)
     # Compliance and load transfer leave more than the data sheet's 130 kN/rad: see docs/vehicle.md.
     assert 125e3 < said["front_stiffness_n_rad"] < 160e3
@@ -81,10 +94,10 @@ def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
 )
 def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
     folder, out = tmp_path / "new" / "log", tmp_path / "other" / "car.toml"
-    asked = ["--manoeuvre", "step-steer", "--car", "ford-escort", "--json"]
+    asked = ["--manoeuvre", "step-steer", "--car", "ford-escort", "--seek", "tyres", "--json"]
     main(["identify", *asked, "--log", str(folder), "--out", str(out)])
     simulated = json.loads(capsys.readouterr().out)
-    main(["identify", "--data", str(folder), "--json"])
+    main(["identify", "--data", str(folder), "--seek", "tyres", "--json"])
     assert json.loads(capsys.readouterr().out) == simulated
     assert simulated["car"] == car_from_toml(out.read_text()).name == "Ford Escort"
     # With the noise of its sensors: what is left over of the yaw rate is no less.

@@ -10,7 +10,6 @@ from concord.plants.vehicle.drive_log import read_log, write_drive
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
     ACCELERATION,
-    BELIEVED_STD,
     CHANNELS,
     ERRORS,
     HEADING,
@@ -28,6 +27,7 @@ from concord.plants.vehicle.parameters import BMW_320I
 from concord.plants.vehicle.replay import replayed
 from concord.plants.vehicle.sensors import SensorError
 
+BELIEVED = ((0.1, 0.1), (0.005, 1.0, 0.05), (0.0005,), (0.05, 0.003))
 MODEL = single_track(BMW_320I, tanh_tyre, 0.005, np.diag([1e-5, 1e-7, 1e-7]))
 CAR = DrivenCar(MODEL)
 STATES = np.array([0.2, 0.03, 20.0, 0.5, 0.04, 0.3]) * np.random.default_rng(1).uniform(
@@ -91,7 +91,7 @@ def test_nodes_believe_what_the_sensors_deliver(driven):
         predicted = own.measure(plant.truth, 0)
         left = own.residual(value, predicted)[taken]
         np.testing.assert_allclose(left, 0.0, atol=1e-4)
-        np.testing.assert_allclose(noise_cov[0], np.diag(np.square(BELIEVED_STD[node])))
+        np.testing.assert_allclose(noise_cov[0], np.diag(np.square(BELIEVED[node])))
         batch = own.measure(np.broadcast_to(STATES, (13, 5, 6)), 0)
         np.testing.assert_array_equal(batch[3], own.measure(STATES, 0))
 

@@ -1,0 +1,231 @@
+"""Parameters of a car with the greatest likelihood of a drive, and what the drive does not tell.
+
+Method: Fisher scoring with a prior, damped where a step makes the likelihood worse. A parameter
+that is not a noise stays at its value in the file if the drive leaves more than half of its prior
+deviation; then the others are fitted again. Intervals are of 95 % under the model. For what the
+model leaves out, the process noise stands in.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from concord.experiments.identification.likelihood import (
+    Likelihood,
+    likelihood,
+    logged_readings,
+)
+from concord.experiments.identification.sought import Sought, car_with, sought_of, value_at
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import Tyre
+from concord.plants.vehicle.parameters import Car
+
+SEEN = 0.5
+"""Greatest deviation of a parameter that the drive tells, over that of its prior."""
+_NORMAL_95 = 1.959964
+_ITERATIONS, _ENOUGH, _LONGEST = 40, 0.01, 1.0
+"""Most steps; least squared length of a step in standard deviations; longest step in spreads."""
+
+
+class FoundParameter(NamedTuple):
+    """One parameter after the fit.
+
+    Attributes:
+        sought: which one.
+        before, value: in the file, and with the greatest likelihood.
+        low, high: interval of 95 %; of a noise that the drive does not tell, 0 and its bound.
+        seen: whether the drive tells it; otherwise it stays as it was, unless it is a noise.
+    """
+
+    sought: Sought
+    before: float
+    value: float
+    low: float
+    high: float
+    seen: bool
+
+
+class CarFit(NamedTuple):
+    """A fitted car, its parameters, and NIS per degree of freedom before and after.
+
+    `freedoms` is the number of innovations; `converged` is False where steps ran out.
+    """
+
+    car: Car
+    found: tuple[FoundParameter, ...]
+    nis_before: float
+    nis_after: float
+    freedoms: int
+    converged: bool
+
+
+def fit(
+    drive: Drive,
+    car: Car,
+    tyre: Tyre,
+    *,
+    friction: bool,
+    ratio: bool,
+    time_step_s: float,
+    min_speed_m_s: float,
+    on_step: Callable[[], None] = lambda: None,
+) -> CarFit:
+    """CarFit a car to a drive, from the values of its file.
+
+    Args:
+        drive: as logged.
+        car: the file's values are the means of the priors.
+        tyre: law of the lateral force.
+        friction, ratio: whether the friction, and the ratio of the steering wheel, are sought.
+        time_step_s: of the filter.
+        min_speed_m_s: slower parts do not count.
+        on_step: is called before each step.
+    """
+    every = sought_of(drive, car, friction=friction, ratio=ratio)
+    log = logged_readings(drive, car, time_step_s, min_speed_m_s)
+
+    def of(kept: np.ndarray) -> Callable[[np.ndarray], Likelihood]:
+        some = tuple(one for one, keep in zip(every, kept, strict=True) if keep)
+
+        def of_some(spreads: np.ndarray) -> Likelihood:
+            on_step()
+            return likelihood(log, car, tyre, some, spreads)
+
+        return of_some
+
+    samples = np.array([drive.time_step_s / one.spread if one.is_delay else 0.0 for one in every])
+    kept = np.ones(len(every), dtype=bool)
+    best = _greatest(of(kept), np.zeros(len(every)), samples)
+    first, told = best.first, _told(every, _precision(best.likelihood))
+    if not told.all():
+        kept = told
+        best = _greatest(of(kept), best.spreads[kept], samples[kept])
+    spreads = np.zeros(len(every))
+    spreads[kept] = best.spreads
+    std = np.full(len(every), np.inf)
+    std[kept] = np.sqrt(np.diagonal(np.linalg.inv(_precision(best.likelihood))))
+    found = tuple(
+        _found(one, value_at(car, one.path), *at)
+        for one, *at in zip(every, spreads, std, strict=True)
+    )
+    after = car_with(car, every, spreads)
+    return CarFit(
+        _in_new_ratio(after, car),
+        found,
+        first.nis,
+        best.likelihood.nis,
+        first.freedoms,
+        best.converged,
+    )
+
+
+class _Best(NamedTuple):
+    spreads: np.ndarray
+    likelihood: Likelihood
+    first: Likelihood
+    converged: bool
+
+
+def _greatest(
+    of: Callable[[np.ndarray], Likelihood], spreads: np.ndarray, samples: np.ndarray
+) -> _Best:
+    """Return the parameters (p,) with the greatest posterior density, by damped scoring.
+
+    A delay is evaluated at whole samples, of the lengths `samples` (p,), which are 0 for all else.
+    The result is one step away from what was evaluated last.
+    """
+    damping, at = 0.0, _at_samples(spreads, samples)
+    first = here = of(at)
+    before = found = None
+    for _ in range(_ITERATIONS):
+        found = at + _step(here, at, damping, samples)
+        there_at = _at_samples(found, samples)
+        same_samples = np.allclose(there_at[samples > 0], at[samples > 0])
+        if before is not None and same_samples and _length(found - before, here) < _ENOUGH:
+            return _Best(found, here, first, True)
+        there = of(there_at)
+        allowed = _density(here, at) + _length(there_at - found, here)
+        if _density(there, there_at) < allowed:
+            before, at, here, damping = found, there_at, there, damping / 10
+        else:
+            damping = max(10 * damping, 0.1)
+    return _Best(at if found is None else found, here, first, False)
+
+
+def _density(here: Likelihood, at: np.ndarray) -> float:
+    """The negative logarithm of the posterior density, but for a constant."""
+    return here.value + float(at @ at) / 2
+
+
+def _length(step: np.ndarray, here: Likelihood) -> float:
+    """The squared length of a step in standard deviations."""
+    return float(step @ _precision(here) @ step)
+
+
+def _step(here: Likelihood, at: np.ndarray, damping: float, samples: np.ndarray) -> np.ndarray:
+    """The step from spreads (p,) to the top of the parabola there, not too long."""
+    precision = _precision(here)
+    gradient = here.gradient + at
+    step = -np.linalg.solve(precision + damping * np.diag(np.diagonal(precision)), gradient)
+    step = np.where(samples > 0, np.clip(step, -samples, samples), step)
+    return step * min(1.0, _LONGEST / np.abs(step).max())
+
+
+def _precision(here: Likelihood) -> np.ndarray:
+    """The precision of the parameters (p, p), that of the prior included.
+
+    The bend of a delay replaces its information where the likelihood bends upwards; products with
+    other parameters shrink until the matrix is positive definite.
+    """
+    precision = here.information + np.eye(len(here.bends))
+    bent = here.bends > 0
+    precision[bent, bent] = here.bends[bent] + 1
+    apart = precision.copy()
+    apart[bent, :] = apart[:, bent] = 0.0
+    apart[bent, bent] = precision[bent, bent]
+    for share in (0.0, 0.1, 0.3, 0.6):
+        mixed = (1 - share) * precision + share * apart
+        if np.linalg.eigvalsh(mixed)[0] > 0.5:
+            return mixed
+    return apart
+
+
+def _at_samples(spreads: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Spreads (p,) with delays at the nearest whole samples."""
+    length = np.where(samples > 0, samples, 1.0)
+    return np.where(samples > 0, length * np.round(spreads / length), spreads)
+
+
+def _told(every: tuple[Sought, ...], precision: np.ndarray) -> np.ndarray:
+    """Which parameters (p,) to keep: the least known is left out first, as it may hide another."""
+    kept = np.ones(len(every), dtype=bool)
+    noise = np.array([one.is_noise for one in every])
+    while kept.any():
+        std = np.full(len(every), -np.inf)
+        std[kept] = np.sqrt(np.diagonal(np.linalg.inv(precision[np.ix_(kept, kept)])))
+        std[noise] = -np.inf
+        worst = int(np.argmax(std))
+        if std[worst] <= SEEN:
+            break
+        kept[worst] = False
+    return kept
+
+
+def _found(one: Sought, before: float, spreads: float, std: float) -> FoundParameter:
+    if np.isinf(std):
+        return FoundParameter(one, before, before, np.nan, np.nan, False)
+    low, value, high = (
+        float(one.value(before, spreads + by * std)) for by in (-_NORMAL_95, 0.0, _NORMAL_95)
+    )
+    if std > SEEN:
+        return FoundParameter(one, before, value, 0.0, high, False)
+    return FoundParameter(one, before, value, low, high, True)
+
+
+def _in_new_ratio(car: Car, before: Car) -> Car:
+    """The car with errors of the steering in the angle that its own ratio gives."""
+    gain, sheet = car.steering_ratio / before.steering_ratio, car.sensors.steering
+    steering = replace(sheet, noise=sheet.noise / gain, offset=sheet.offset / gain)
+    return replace(car, sensors=replace(car.sensors, steering=steering))

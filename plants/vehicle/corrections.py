@@ -1,0 +1,81 @@
+"""Corrections of logged readings: delays of sensors, and the place of the slip sensor."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.parameters import SensorSheets
+
+SMOOTHED = 20
+"""Half of the window of the smoothing, in samples."""
+
+FIELDS = {
+    "wheel_speed": "wheel_speed_m_s",
+    "yaw_rate": "yaw_rate_rad_s",
+    "lateral_acceleration": "lateral_acceleration_m_s2",
+    "longitudinal_acceleration": "longitudinal_acceleration_m_s2",
+    "steering": "steering_rad",
+    "side_slip": "side_slip_rad",
+}
+"""The field of a drive that holds the readings of a sensor."""
+
+
+def corrected(
+    channels: Mapping[str, ChannelReadings], sheets: SensorSheets
+) -> dict[str, ChannelReadings]:
+    """Channels stamped without the delays of sensors, and the side slip at the centre of mass."""
+    found = {}
+    for name, readings in channels.items():
+        sensor = "wheel_speed" if name.endswith("_wheel") else name
+        sheet = getattr(sheets, sensor, None)
+        delay_s = 0.0 if sheet is None else sheet.delay_s
+        found[name] = (
+            readings._replace(stamps_s=readings.stamps_s - delay_s) if delay_s else readings
+        )
+    if "side_slip" in found:
+        found["side_slip"] = _slip_at_centre(found, sheets)
+    return found
+
+
+def _slip_at_centre(
+    channels: Mapping[str, ChannelReadings], sheets: SensorSheets
+) -> ChannelReadings:
+    slip, ahead = channels["side_slip"], sheets.slip_sensor_ahead_m
+    read = slip.values - sheets.side_slip.offset
+    if not ahead:
+        return slip._replace(values=read)
+    turning = channels["yaw_rate"]
+    speeds = [one for name, one in channels.items() if name == "speed" or name.endswith("_wheel")]
+    yaw_rate = np.interp(slip.stamps_s, turning.stamps_s, turning.values)
+    each = [np.interp(slip.stamps_s, one.stamps_s, one.values) for one in speeds if len(one.values)]
+    speed = np.maximum(np.mean(each, axis=0), 1.0)
+    return slip._replace(values=np.arctan(np.tan(read) - ahead * yaw_rate / speed))
+
+
+def earlier_by(values: np.ndarray, samples: int) -> np.ndarray:
+    """Readings (steps,) moved to so many samples before; NaN where none comes."""
+    source = np.arange(len(values)) + samples
+    there = (source >= 0) & (source < len(values))
+    return np.where(there, values.take(source, mode="clip"), np.nan)
+
+
+def earlier(values: np.ndarray, samples: float) -> np.ndarray:
+    """Readings (steps,) as if so many samples before; NaN where none comes.
+
+    Readings move by whole samples. For the rest a smooth curve through them is moved, so that the
+    noise of each stays as it is. The curve is a parabola over `SMOOTHED` samples to either side
+    (Savitzky and Golay, 1964). Readings that are NaN lie on the line between their neighbours.
+    """
+    whole = round(samples)
+    known, steps = np.isfinite(values), np.arange(len(values))
+    moved = earlier_by(values, whole)
+    if known.sum() <= 2 * SMOOTHED:
+        return moved
+    filled = np.interp(steps, steps[known], values[known])
+    weights = np.linalg.pinv(np.vander(np.arange(-SMOOTHED, SMOOTHED + 1), 3))[-1]
+    padded = np.pad(filled, SMOOTHED, mode="reflect", reflect_type="odd")
+    smooth = np.convolve(padded, weights, mode="valid")
+    return (
+        moved + np.interp(steps + samples, steps, smooth) - np.interp(steps + whole, steps, smooth)
+    )
