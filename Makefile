@@ -10,8 +10,12 @@ demo: .venv/run.stamp
 		--schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
 # A worker for each processor; the tests of a file stay together.
-test: .venv/dev.stamp browser
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
+LONG := slow or zenoh or browser
+
+test: .venv/dev.stamp
+	$(PYTEST) -m "not ($(LONG))"
+	@echo "make test-slow runs the others: processes, pages, studies, and the dashboard in a browser"
 
 # What the tests of the dashboard need; without it they are skipped, and say so.
 browser:
@@ -24,7 +28,7 @@ screenshots: .venv/dev.stamp browser
 	$(BIN)/python -m docs.screenshots
 
 test-slow: .venv/dev.stamp
-	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
+	$(PYTEST) -m "$(LONG)"
 
 # The optional parts of concord, and the tools of its developers.
 extras: .venv/dev.stamp

@@ -19,6 +19,13 @@ settings.register_profile("ci", settings.get_profile("concord"), derandomize=Tru
 settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that look at a page in a browser."""
+    for item in items:
+        if "chromium" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.browser)
+
+
 @pytest.fixture(autouse=True)
 def _same_priority() -> Iterator[None]:
     """Fail a test that lowers the priority of the process that runs all tests."""

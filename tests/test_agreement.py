@@ -18,6 +18,8 @@ from tests.experiments.flexray_support import concord
 from tests.experiments.support import scenario, small, trace_of
 from tests.nodes.test_faults import SWARM
 
+pytestmark = pytest.mark.slow
+
 # fmt: off
 SMALL = {
     "oscillator on a ring": {"graph": "ring"},

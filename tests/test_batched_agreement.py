@@ -26,6 +26,8 @@ from concord.scenarios.types.rules import NumberRule
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 
+pytestmark = pytest.mark.slow
+
 TOLERANCES = {
     "float64": 1e-10,
     "float32": 8 * float(np.finfo(np.float32).eps),

@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.pages import ROOT, blocks, link_checkout, run_as_reader
+
+pytestmark = pytest.mark.slow
 
 PAGE = ROOT / "docs" / "bus.md"
 

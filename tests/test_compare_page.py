@@ -9,6 +9,8 @@ from concord.scenarios.types.rules import RULE_SUMMARIES
 from tests.experiments.flexray_support import concord
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "docs" / "which_rule_when.md").read_text(encoding="utf-8")
 
 

@@ -8,6 +8,8 @@ import pytest
 from tests.pages import ROOT, blocks, link_checkout, run_as_reader
 from tests.processes import CONCORD, PROC, family, holds_within
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
 FIRST, *WORDS = [line.partition(" #")[0].split() for line in blocks(PAGE, "")[0].splitlines()]
 

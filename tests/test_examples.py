@@ -10,6 +10,8 @@ import matplotlib
 import matplotlib.pyplot
 import pytest
 
+pytestmark = pytest.mark.slow
+
 matplotlib.use("Agg")
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(file.name for file in (ROOT / "examples").glob("*.py"))

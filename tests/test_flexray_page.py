@@ -8,6 +8,8 @@ import concord as cc
 from concord import flexray
 from tests.pages import ROOT, blocks
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "docs" / "flexray_toolbox.md").read_text(encoding="utf-8")
 
 

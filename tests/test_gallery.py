@@ -7,6 +7,8 @@ from PIL import Image
 
 from docs import gallery
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.slow
 def test_the_commands_of_the_page_draw_its_pictures(tmp_path: Path):

@@ -21,6 +21,8 @@ from concord.scenarios.scenario import Scenario
 from tests.changing_networks import changing
 from tests.test_batched_agreement import check_agreement
 
+pytestmark = pytest.mark.slow
+
 RUNS = (0, 3)
 # A node that returns has a window of its own, which has no array form.
 FINAL = ("kill", "cut", "heal", "loss", "loss on")

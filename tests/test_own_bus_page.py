@@ -6,6 +6,8 @@ import pytest
 
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "docs" / "own_plant_on_a_bus.md").read_text(encoding="utf-8")
 ROOMS, HISTORY = blocks(PAGE, "python")
 

@@ -11,6 +11,8 @@ import pytest
 
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
+pytestmark = pytest.mark.slow
+
 README = ROOT / "README.md"
 _NAMES = (
     "topology",

@@ -7,6 +7,8 @@ import pytest
 from concord.experiments.monte_carlo.figure_table import FIGURES
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
+pytestmark = pytest.mark.slow
+
 SWEEPS = (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8")
 PYTHON = (ROOT / "docs" / "python_api.md").read_text(encoding="utf-8")
 

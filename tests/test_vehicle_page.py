@@ -16,6 +16,8 @@ from concord.plants.vehicle.network import NODES
 from concord.plants.vehicle.parameters import ProcessNoise, SensorSheets, car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
 SENSORS = [name for name in SensorSheets.__struct_fields__ if not name.endswith("_m")]
 PAPER = (ROOT / "docs" / "papers" / "adlukf.md").read_text(encoding="utf-8")

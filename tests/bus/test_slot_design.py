@@ -26,6 +26,8 @@ from concord.bus.flexray.slot_design.demand import (
 from concord.bus.flexray.slot_design.design import SlotDesign, design_slots
 from concord.bus.flexray.slot_design.programme import Edition, Goal
 
+pytestmark = pytest.mark.slow
+
 SMALL = msgspec.structs.replace(
     DEMO,
     name="small",

@@ -1,8 +1,11 @@
 """Test the figures on returns after a kill with invented returns."""
 
 import numpy as np
+import pytest
 
 from tests.endurance.kills import cycles_to_agree
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_node_agrees_again_in_the_step_in_which_it_is_as_near_as_others_are():

@@ -18,6 +18,8 @@ from concord.runtime.recording import McapRecorder
 from concord.scenarios.bus_plan import frame_format
 from tests.experiments.support import small
 
+pytestmark = pytest.mark.slow
+
 Messages = list[tuple[str, bytes]]
 CHANGES = ("3 kill 2", "6 restart 2", "8 set rounds=2")
 SETUP = small(steps=12, nodes=4, graph="ring", changes=CHANGES)

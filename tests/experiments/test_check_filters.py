@@ -8,6 +8,8 @@ from concord.experiments.conformance.filter_promises import FILTER_PROMISES
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from tests.experiments.test_check_rules import checked
 
+pytestmark = pytest.mark.slow
+
 WRONG = f"{Path(__file__).parent}/wrong_filters.py"
 ABOUT_MODELS = [one.name for one in FILTER_PROMISES if one.name != "agreement"]
 # Each mistake, and the promises about models that it must break.

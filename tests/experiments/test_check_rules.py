@@ -11,6 +11,8 @@ from concord.experiments.cli.command_line import main
 from concord.experiments.conformance.rule_promises import RULE_PROMISES
 from tests.pages import ROOT, blocks
 
+pytestmark = pytest.mark.slow
+
 WRONG = f"{Path(__file__).parent}/wrong_rules.py"
 NAMES = [promise.name for promise in RULE_PROMISES]
 ABOUT_BELIEFS = NAMES[: NAMES.index("loss")]

@@ -25,6 +25,8 @@ from concord.scenarios.types.rules import RULE_SUMMARIES
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
 
+pytestmark = pytest.mark.slow
+
 CASE = "blind"
 MEASURED = {"node_us"}
 

@@ -30,6 +30,8 @@ from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord
 
+pytestmark = pytest.mark.slow
+
 ASKED = {"scenario": "oscillator", "nodes": "10", "weights": "metropolis"}
 
 

@@ -31,6 +31,8 @@ from concord.scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
 
+pytestmark = pytest.mark.slow
+
 ASKED = ("flexray", "plan", "--scenario", "target-tracking", "--nodes", 20, "--cluster", "audi")
 
 

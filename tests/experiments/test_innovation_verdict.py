@@ -25,6 +25,8 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 
+pytestmark = pytest.mark.slow
+
 FITTING = Interval(1.0, 0.9, 1.1)
 UNKNOWN = Interval(np.nan, np.nan, np.nan)
 YAW = Channel(2, 0, 0, "yaw rate", "rad/s")

@@ -5,11 +5,14 @@ import tracemalloc
 from collections.abc import Iterable
 
 import numpy as np
+import pytest
 
 from concord.experiments.monte_carlo import simulate as batched
 from concord.experiments.monte_carlo.simulate import COV, Histories, simulate
 from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
+
+pytestmark = pytest.mark.slow
 
 SPARSE = scenario_of("oscillator", nodes=2000, graph="6-regular", steps=5, bus="ideal")
 

@@ -26,6 +26,8 @@ from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
 
+pytestmark = pytest.mark.slow
+
 ASKED = {"scenario": "oscillator", "nodes": "3,4", "steps": "24"}
 
 

@@ -15,6 +15,8 @@ from concord.scenarios.catalogue import definitions
 from concord.scenarios.preparation import prepare
 from tests.experiments.flexray_support import concord, refused
 
+pytestmark = pytest.mark.slow
+
 TOO_LONG = "--scenario oscillator --nodes 3 --steps 1000000000"
 TARGET = ("--target-rmse", "2x-centralised")
 

@@ -137,7 +137,7 @@ def test_an_infinite_error_stays_infinite():
 
 
 def test_unknown_figures_have_no_statistics():
-    whole = dict.fromkeys(("rmse", "rmse_centralised"), np.full(4, np.nan))
+    whole: dict[str, np.ndarray] = dict.fromkeys(("rmse", "rmse_centralised"), np.full(4, np.nan))
     found = statistics_of(reduced(whole, tuple(whole)), dict.fromkeys(whole, ()))
     assert found["rmse"][0] == 0 and np.isnan(found["rmse"][1:]).all()
 

@@ -12,6 +12,8 @@ from concord.experiments.cli import new
 from concord.experiments.cli.command_line import main
 from tests.pages import ROOT
 
+pytestmark = pytest.mark.slow
+
 FILES = {"Makefile", "README.md", "figure.py", "plant.py", "rule.py", "test_study.py"}
 
 

@@ -21,6 +21,8 @@ from concord.experiments.sweep.specification import specify
 from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 
+pytestmark = pytest.mark.slow
+
 ASKED = {"scenario": "target-tracking", "nodes": "6", "steps": "24", "graph": "ring,complete",
          "rule": "ci,wac", "occupancy": "1,.5"}  # fmt: skip
 

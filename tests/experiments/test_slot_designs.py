@@ -6,6 +6,8 @@ import pytest
 
 from tests.experiments.flexray_support import concord, refused
 
+pytestmark = pytest.mark.slow
+
 FRAMES = Path(__file__).resolve().parents[2] / "examples" / "frames.toml"
 DESIGN = ("flexray", "design-slots", FRAMES, "--cluster", "audi")
 

@@ -11,17 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 
 from concord.experiments.__main__ import main
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.results import read_result
-from concord.experiments.sweep.run import begin, finish
+from concord.experiments.sweep.run import Swept, begin, finish
 from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.store import folder_of
 from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
+
+pytestmark = pytest.mark.slow
 
 ASKED = {"scenario": "oscillator", "nodes": "3", "steps": "24", "graph": "ring,path",
          "occupancy": "1,.5"}  # fmt: skip
@@ -30,6 +33,11 @@ COMMAND = [part for field, text in ASKED.items() for part in (f"--{field}", text
 
 def swept(specification: Specification, out: Path | None = None):
     return finish(begin(specification, out), in_this_process, lambda _: None)
+
+
+def whole(found: Swept) -> xarray.Dataset:
+    assert found.dataset is not None
+    return found.dataset
 
 
 @pytest.fixture(scope="module")
@@ -91,10 +99,10 @@ def test_a_sweep_goes_on_where_it_stopped(result: Path, tmp_path: Path):
     sorted(folder_of(out).glob("*.npz"))[1].write_bytes(b"PK\x03\x04 half")
     again = swept(specification, out)
     assert (again.found_pieces, again.computed_pieces) == (1, 3)
-    assert again.dataset.equals(read_result(result))
+    assert whole(again).equals(read_result(result))
     finished = swept(specification, out)
     assert finished.computed_pieces == 0
-    assert finished.dataset.equals(again.dataset)
+    assert whole(finished).equals(whole(again))
 
 
 def test_it_does_not_go_on_with_another_sweep(tmp_path: Path):
@@ -121,7 +129,7 @@ def test_it_is_not_written_over_another_sweep(result: Path, tmp_path: Path):
 @pytest.mark.slow
 def test_two_workers_find_what_one_finds(result: Path, tmp_path: Path):
     done = finish(begin(specify(ASKED, runs=3), None), engine_for(2, None), lambda _: None)
-    assert done.dataset.equals(read_result(result))
+    assert whole(done).equals(read_result(result))
 
 
 @pytest.mark.slow
@@ -133,7 +141,7 @@ def test_so_do_the_workers_of_a_dask_scheduler(result: Path, tmp_path: Path):
     ) as cluster:  # fmt: skip
         engine = engine_for(None, cluster.scheduler_address)
         done = finish(begin(specify(ASKED, runs=3), None), engine, lambda _: None)
-    assert done.dataset.equals(read_result(result))
+    assert whole(done).equals(read_result(result))
 
 
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
@@ -151,7 +159,7 @@ def test_workers_and_dask_are_one_choice():
 
 def test_a_latin_hypercube_has_its_cells_in_a_row(tmp_path: Path):
     asked = {**ASKED, "occupancy": "0.3..1", "decay": "0..1"}
-    data = swept(specify(asked, runs=2, samples=3), tmp_path / "h.nc").dataset
+    data = whole(swept(specify(asked, runs=2, samples=3), tmp_path / "h.nc"))
     assert data["rmse"].dims == ("cell", "run")
     assert set(data.coords) >= {"graph", "occupancy", "decay"}
     assert figures_of(data).cells[2].cell["decay"] == float(data["decay"][2])
@@ -159,7 +167,7 @@ def test_a_latin_hypercube_has_its_cells_in_a_row(tmp_path: Path):
 
 def test_cells_of_any_size_stand_side_by_side():
     asked = {"scenario": "oscillator", "nodes": "3,4", "steps": "5,8"}
-    data = swept(specify(asked, runs=2)).dataset
+    data = whole(swept(specify(asked, runs=2)))
     small = data.sel(nodes=3, steps=5)
     assert np.isnan(small["rmse_node"][:, 3]).all() and np.isnan(small["error"][:, 5:]).all()
     assert not np.isnan(data["rmse"]).any()
@@ -169,7 +177,7 @@ def test_cells_of_any_size_stand_side_by_side():
 def test_one_cell_is_a_sweep_too():
     asked = {"scenario": "oscillator", "nodes": "3", "steps": "5"}
     done = swept(specify(asked, runs=2))
-    assert done.dataset["rmse"].dims == ("run",)
+    assert whole(done)["rmse"].dims == ("run",)
     assert done.node_updates == 2 * 3 * 5
 
 

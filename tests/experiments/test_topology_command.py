@@ -14,6 +14,8 @@ from concord.topology.graph_files import read_network
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import small
 
+pytestmark = pytest.mark.slow
+
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 
 

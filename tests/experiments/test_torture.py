@@ -22,6 +22,8 @@ from concord.scenarios.script import script_of
 from tests.experiments.flexray_support import Said, concord
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
+pytestmark = pytest.mark.slow
+
 # Those that are found within one small case, and so in a fast test.
 QUICK = {
     "all nodes share the slots of node 0": 2,

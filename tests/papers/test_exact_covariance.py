@@ -36,6 +36,8 @@ from concord.scenarios.types.rules import hold_of
 from concord.topology.graphs import build_graph
 from concord.topology.weights import metropolis
 
+pytestmark = pytest.mark.slow
+
 FUSED = ("wac", "ci", "hcmci", "icf")
 CONSISTENT = ("wac", "ci", "hcmci")
 SPECIFICATION = Path(__file__).resolve().parents[3] / "shared" / "spec" / "consensus.md"

@@ -15,6 +15,8 @@ from concord.papers.labelled.study import FORMS, OCCUPANCIES, Form, RunOutcome, 
 from concord.papers.labelled.study import outcomes as runs_of
 from concord.scenarios.preparation import prepare
 
+pytestmark = pytest.mark.slow
+
 
 def outcomes(generator: np.random.Generator, runs: int) -> list[RunOutcome]:
     central = generator.chisquare(20, runs) / 20

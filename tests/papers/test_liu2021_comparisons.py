@@ -1,9 +1,12 @@
 """The comparisons that Liu et al. (2021) lack: sets hold the truth, theory orders the sizes."""
 
 import numpy as np
+import pytest
 
 from concord.papers.liu2021.comparisons import by_shape, by_slots, multipliers_apart
 from concord.papers.liu2021.runs import paper, simulate, tight
+
+pytestmark = pytest.mark.slow
 
 
 def test_every_protocol_has_sets_that_hold_the_state():

@@ -11,6 +11,8 @@ from concord.papers.meng2025.runs import carry_out, methods, simulate, transmit
 from concord.papers.meng2025.table import mse_by_step, row, running_mse
 from concord.plants import meng2025
 
+pytestmark = pytest.mark.slow
+
 BATCH = simulate(seed=4, runs=60, steps=40)
 REFERENCE = carry_out(BATCH, methods()["recommended"])
 

@@ -28,6 +28,8 @@ from concord.plants.vehicle.model import linear_tyre, single_track
 from concord.plants.vehicle.parameters import BMW_320I
 from tests.papers.support import every_claim_can_fail
 
+pytestmark = pytest.mark.slow
+
 STEPS = 250
 
 

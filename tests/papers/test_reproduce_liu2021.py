@@ -16,6 +16,8 @@ from concord.papers.liu2021.runs import ESTIMATORS, paper, simulate, tight
 from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 from tests.papers.support import every_claim_can_fail
 
+pytestmark = pytest.mark.slow
+
 
 def test_table_one_is_matched_and_the_others_as_far_as_known():
     gains = gains_of_tables()

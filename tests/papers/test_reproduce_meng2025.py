@@ -34,6 +34,8 @@ from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 from tests.papers.support import every_claim_can_fail
 
+pytestmark = pytest.mark.slow
+
 # RMSE x1, x2 and ANEES over 200 runs of an independent implementation (the study of the paper).
 STUDY = {
     "recommended": (0.243, 0.220, 2.06),

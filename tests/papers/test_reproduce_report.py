@@ -14,6 +14,8 @@ from concord.papers.kit.checks import Check, above, agrees, at_most, below, near
 from concord.papers.kit.claims import Claim, ClaimFinding, Erratum, Test, needs, verdict_of
 from concord.papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
 
+pytestmark = pytest.mark.slow
+
 
 def section(place: int, *checks: Check) -> Section:
     return Section(place, f"part {place}", "a | b", list(checks))

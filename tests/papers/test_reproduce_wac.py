@@ -36,6 +36,8 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from tests.papers.support import every_claim_can_fail
 
+pytestmark = pytest.mark.slow
+
 # --- the network on a bus with room for all shares -----------------------------------------------
 
 

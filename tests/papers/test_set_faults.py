@@ -24,6 +24,8 @@ from concord.plants.bounded import BoundedSystem
 from tests.bounded_systems import on_the_sphere, run_of, transmit
 from tests.papers.set_units import METHODS, Units, in_units
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 LANES = 20
 ONE = Units(np.ones(liu2021.STATES), np.ones(liu2021.OUTPUTS))

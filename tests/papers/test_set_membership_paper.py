@@ -23,6 +23,8 @@ from concord.plants.bounded import BoundedSystem
 from concord.scenarios.definitions.measurement_runs import delivered
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes, transmit
 
+pytestmark = pytest.mark.slow
+
 SEEDS = st.integers(0, 2**32 - 1)
 STEPS = pytest.mark.parametrize("step", [optimal_step, closed_form_step])
 # The trace as the paper writes it.

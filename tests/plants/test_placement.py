@@ -13,6 +13,8 @@ from concord.plants.placement import place_sensors, site_text, sites
 from concord.topology.analysis import components
 from concord.topology.geometric_graphs import geometric
 
+pytestmark = pytest.mark.slow
+
 
 @given(
     st.one_of(

@@ -22,6 +22,8 @@ from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
 from tests.nodes.changing import run, same_bits
 
+pytestmark = pytest.mark.slow
+
 APART = ["A", "B", "split", "mixed"]
 CONTENDED = {"schedule": "hybrid", "occupancy": 0.5}
 

@@ -31,6 +31,8 @@ from tests.experiments.flexray_support import concord, dissect, needs_tshark, re
 from tests.experiments.support import scenario
 from tests.experiments.test_bus_capture import packets
 
+pytestmark = pytest.mark.slow
+
 TYPES = [one for one in get_args(BusChoice) if one is not UserBus]
 BUSES = [name_of(one) for one in TYPES]
 TIMED = [name_of(one) for one in TYPES if issubclass(one, TimedBus)]

@@ -30,6 +30,8 @@ from tests.bounded_systems import on_the_sphere
 from tests.experiments.support import scenario
 from tests.test_agreement import assert_agreement
 
+pytestmark = pytest.mark.slow
+
 ELLIPSOIDS = ["tight", "fast-rate", "paper", "fast"]
 SETS: list[dict[str, Any]] = [{"method": one} for one in ELLIPSOIDS] + [{"filter": "zonotope"}]
 GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf")]

@@ -28,9 +28,8 @@ from tests.experiments.support import scenario
 from tests.plants.test_vehicle_network import model_drive
 from tests.test_batched_agreement import check_agreement
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
-)
+_NO_MODELS = importlib.util.find_spec("vehiclemodels") is None
+pytestmark = [pytest.mark.skipif(_NO_MODELS, reason="needs the extra vehicle"), pytest.mark.slow]
 
 
 def setup(**changes) -> Setup:

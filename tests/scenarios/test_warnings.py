@@ -16,6 +16,8 @@ from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.setup import Setup
 from concord.scenarios.warnings import warnings_of
 
+pytestmark = pytest.mark.slow
+
 
 def setup_of(**changes) -> Setup:
     return prepare(definition_named("oscillator").defaults.with_(steps=5, **changes))

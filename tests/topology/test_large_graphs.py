@@ -26,6 +26,8 @@ from concord.topology.weights import (
     per_node,
 )
 
+pytestmark = pytest.mark.slow
+
 NODES = 10_000
 # A dense matrix of one byte per entry has 100 MB.
 MOST_MEMORY = 60e6

@@ -30,6 +30,8 @@ from concord.scenarios.preparation import prepare
 from tests.experiments.identification.simulated_log import FILE, TRUE, simulated_log
 from tests.experiments.support import scenario
 
+pytestmark = pytest.mark.slow
+
 SEED, SECONDS = 3, 8.0
 
 
