@@ -159,6 +159,7 @@ def tables(draw: st.DrawFn) -> list[MessageSlot]:
     return slots
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(tables(), st.integers(0, 2**32 - 1))
 def test_no_random_traffic_responds_later_than_its_bound(slots: list[MessageSlot], seed: int):

@@ -14,6 +14,8 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 SMALL: dict[str, Any] = {"nodes": 5, "steps": 45, "graph": "ring", "seed": 3}
 
 

@@ -182,6 +182,7 @@ def test_the_measure_of_loading_sees_what_is_loaded():
     assert {"scipy", "networkx"} <= loaded_by("topology", "--help")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 @pytest.mark.parametrize(
     ("command", "written"),

@@ -20,6 +20,8 @@ from concord.runtime.disk import NotWritten
 from concord.runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
 
+pytestmark = pytest.mark.slow
+
 RUN = ["run", "--scenario", "oscillator", "--nodes", "4", "--out", "run"]
 # A run of so many steps fills a disk of this size long before its end.
 DISK_KIB, STEPS = 300, "5000"

@@ -33,7 +33,10 @@ def test_importing_concord_loads_nothing_else():
     ("options", "says"),
     [
         ({"grpah": "path"}, "unknown option 'grpah': did you mean 'graph'"),
-        ({"window_steps": 8}, "window_steps 8: belongs to rule labelled; leave it out"),
+        (
+            {"window_steps": 8},
+            "window_steps 8: belongs to rule labelled or labelled-ellipsoid; leave it out",
+        ),
         ({"nodes": "8"}, "nodes 8: must be a whole number"),
         ({"hold": "drop", "decay": 0.3}, "decay 0.3: belongs to hold decayed"),
         ({"occupancy": 0.0}, r"occupancy 0.0: must be in"),

@@ -8,6 +8,8 @@ import pytest
 
 from concord.runtime.interpreter import fresh_command, fresh_variables
 
+pytestmark = pytest.mark.slow
+
 RUN = ("run", "--scenario", "oscillator", "--nodes", "3", "--steps", "5")
 
 

@@ -13,6 +13,8 @@ from concord.scenarios.warnings import warnings_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
 
+pytestmark = pytest.mark.slow
+
 NETWORK = ("--scenario", "oscillator", "--nodes", 8, "--graph", "ring", "--cluster", "bosch")
 
 

@@ -89,7 +89,10 @@ def test_values_are_taken_as_names_are():
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ({"window_steps": 8}, "--window-steps 8: belongs to --rule labelled; leave it out"),
+        (
+            {"window_steps": 8},
+            "--window-steps 8: belongs to --rule labelled or labelled-ellipsoid; leave it out",
+        ),
         ({"rule": "hcmci", "decay": 0.3}, "--hold decayed of --rule ci, trimmed-ci, wac or FILE"),
         ({"hold": "drop", "decay": 0.3}, "--decay 0.3: belongs to --hold decayed; leave"),
         ({"arbiter": "wtod"}, "belongs to --schedule hybrid, hybrid-leaves or dynamic"),

@@ -132,6 +132,7 @@ def test_processes_give_the_bits_of_one_process(relay: bool, tmp_path: Path):
 # --- gates ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_gate_lets_pass_what_is_as_likely_as_it_should_be():
     """Thresholds are for as many entries as were taken."""
     scenario = setup_of(gate_probability=0.01).scenario

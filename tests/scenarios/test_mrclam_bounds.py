@@ -16,6 +16,8 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
+pytestmark = pytest.mark.slow
+
 TARGETS = (1, 2, 3, 4, 5)
 
 

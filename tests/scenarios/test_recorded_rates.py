@@ -20,6 +20,8 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
 
+pytestmark = pytest.mark.slow
+
 UNITS = {
     "yaw_rate": "rad/s",
     "lateral_acceleration": "m/s2",
