@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from queue import Empty
 
+from msgspec.structs import replace
+
 from concord.nodes import node as state_machine
 from concord.nodes import node_changes
 from concord.nodes.changes import Gone, Welcome
@@ -37,6 +39,7 @@ from concord.runtime.processes.node.heartbeats import Heartbeats
 from concord.runtime.processes.node.mailbox import Mailbox
 from concord.runtime.processes.node.membership import Membership
 from concord.runtime.processes.node.process import GivenUp
+from concord.runtime.processes.node.slow_processor import SlowProcessor
 from concord.runtime.processes.node.start_time import StartTime
 from concord.runtime.processes.node.timetable import NodeTimetable
 from concord.runtime.processes.node.timing_records import TimingRecords
@@ -61,6 +64,7 @@ class RealTimeNode:
         self._counted: list[str] = []
         self._late_welcomes: list[Welcome] = []
         self._asked_s, self._skips = 0.0, 0
+        self._processor, self._slowness = SlowProcessor(), 1.0
         self._first_step = 0
         self._cycle_of = membership.config.bus.frame_format.cycle_of
         self.transport = Transport(membership.run, membership.links, [], 1)
@@ -118,6 +122,9 @@ class RealTimeNode:
         Raises:
             GivenUp: the node is far behind, and has to enter again.
         """
+        slow = config.faults.at("slow-cpu", state.step, self._index)
+        self._slowness = slow[0] if slow else 1.0
+        self._processor.work(self._slowness)
         if self._timetable.is_far_behind(state.step + 1):
             self._skip_ahead()
         if state.phase is Phase.MEASUREMENT:
@@ -224,14 +231,32 @@ class RealTimeNode:
         return config, state
 
     def send(self, state: NodeState, messages: Sequence[NodeMessage]) -> None:
-        """Offer messages: a node that waits for a link that stands still misses its own times."""
+        """Offer messages: a node that waits for a link that stands still misses its own times.
+
+        Raises:
+            GivenUp: the estimate is older than the timetable allows, and the node enters again.
+        """
+        self._processor.work(self._slowness)
         for message in messages:
-            if isinstance(message, Estimate):
-                # Before the estimate: with the last estimate the recorder has all.
-                delay_s = self._timetable.late_s(message.step)
-                timing = self._records.take(self._index, message.step, delay_s)
-                self.transport.offer(topic(timing), encode(timing))
-            self.transport.offer(topic(message), encode(message))
+            dated = self._dated(state, message) if isinstance(message, Estimate) else message
+            if dated is not None:
+                self.transport.offer(topic(dated), encode(dated))
+
+    def _dated(self, state: NodeState, estimate: Estimate) -> Estimate | None:
+        """Return an estimate with its age, and send its timing; None for one that is too old.
+
+        Raises:
+            GivenUp: it is too old, and the run goes on.
+        """
+        age_s = self._timetable.late_s(estimate.step)
+        # Before the estimate: with the last estimate the recorder has all.
+        timing = self._records.take(self._index, estimate.step)
+        self.transport.offer(topic(timing), encode(timing))
+        if age_s <= self._timetable.tempo.oldest_s:
+            return replace(estimate, age_s=age_s)
+        if state.phase is not Phase.FINISHED:
+            self._skip_ahead()
+        return None
 
     def await_joined(self, state: NodeState) -> None:
         """The clock waits for no node."""

@@ -28,4 +28,4 @@ class NodeTimetable:
 
     def is_far_behind(self, step: int) -> bool:
         """Whether the estimate of a step that only begins would count as lost."""
-        return self.late_s(step) > self.tempo.timeout_steps * self.tempo.step_s
+        return self.late_s(step) > self.tempo.oldest_s
