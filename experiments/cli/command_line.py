@@ -45,6 +45,7 @@ COMMANDS = {
     "node": ("hosts", "node"),
     "doctor": ("doctor", "doctor"),
     "torture": ("simulation_testing", "simulation_testing"),
+    "lives": ("lives", "lives"),
     "help": ("command_line", "show_help"),
     "version": ("command_line", "print_version"),
     "completion": ("command_line", "print_completion"),
