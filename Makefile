@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills fuzz stories docs pictures lock clean
+.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills overload fuzz stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
@@ -52,6 +52,10 @@ bench: .venv/dev.stamp
 # What became slower since `make bench` kept BASE (a copy of runs/bench.json).
 bench-compare: .venv/dev.stamp
 	$(BIN)/python -m benchmarks.compare $(BASE) runs/bench.json
+
+# Sixteen nodes in real time at three times the machine's capacity: how old their estimates are.
+overload: .venv/dev.stamp
+	$(BIN)/python -m tests.endurance.overload --minutes 5
 
 # 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
 kills: .venv/dev.stamp

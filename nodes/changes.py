@@ -179,3 +179,13 @@ def without_return(changes: tuple[Change, ...], node: int) -> tuple[Change, ...]
     return tuple(
         change for change in changes if not (isinstance(change, Joined) and change.node == node)
     )
+
+
+def since_return(changes: tuple[Change, ...], node: int) -> tuple[Change, ...]:
+    """Return the changes after the return of a node, whose welcome told it of those before."""
+    returns = [
+        place
+        for place, change in enumerate(changes)
+        if isinstance(change, Joined) and change.node == node
+    ]
+    return changes[returns[-1] + 1 :] if returns else changes

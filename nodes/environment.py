@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import UNSET
 
 from concord.bus.arbitration import NO_BID, ArbiterState, begin_arbitration
-from concord.nodes.changes import UNCHANGED, Event, Gone, Joined, after, without_return
+from concord.nodes.changes import UNCHANGED, Event, Gone, after, since_return, without_return
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentPhase, EnvironmentState
 from concord.nodes.faults.active import hangs
 from concord.nodes.faults.sensors import delivered as delivered_by_faulty
@@ -245,15 +245,13 @@ def _release(
             delivery, delivered = config.delivery.transmit(state.delivery, delivered, number)
             state = state._replace(delivery=delivery)
         control = None if state.control is None else state.control.tolist()
-        # A node that joins was told with its welcome what holds.
-        joined = {change.node for change in state.announced if isinstance(change, Joined)}
         outbox.extend(
             Measured(
                 node,
                 number,
                 to_wire(delivered[node]),
                 control,
-                () if node in joined else state.announced,
+                since_return(state.announced, node),
             )
             for node in members(config, state)
         )

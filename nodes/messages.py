@@ -100,7 +100,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
     `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
     ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
-    its belief.
+    its belief. `age_s`: in real time, seconds since the sampling instant of the step.
     """
 
     node: NodeIndex
@@ -113,6 +113,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     smoothed: list[list[float | None]] | None = None
     smoothed_std: list[list[float | None]] | None = None
     suspect: bool = False
+    age_s: float | None = None
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -125,9 +126,8 @@ class Timing(msgspec.Struct, frozen=True):
     """Node to recorder, in real time: how well a step kept its time.
 
     `heartbeat_late_s` (None: the node stopped waiting for it) and `cycle_late_s` (rounds,) are
-    delays against the timetable. `delay_s` is the time from the sampling instant of the timetable
-    to the estimate. `incomplete` cycles ended at their deadline without a frame that was due;
-    `overrun` cycles began after their own deadline.
+    delays against the timetable. `incomplete` cycles ended at their deadline without a frame that
+    was due; `overrun` cycles began after their own deadline.
     """
 
     node: NodeIndex
@@ -136,7 +136,6 @@ class Timing(msgspec.Struct, frozen=True):
     cycle_late_s: list[float]
     incomplete: Instant
     overrun: Instant
-    delay_s: float
 
 
 class Unreachable(msgspec.Struct, frozen=True):

@@ -26,6 +26,11 @@ class Tempo(msgspec.Struct, frozen=True):
         """Steps after which an estimate that has not come counts as lost."""
         return 1 + math.ceil(_ESTIMATE_TIMEOUT_S / self.step_s)
 
+    @property
+    def oldest_s(self) -> float:
+        """The age at which an estimate counts as lost: no node sends an older one."""
+        return self.timeout_steps * self.step_s
+
     def step_begins_s(self, step: int) -> float:
         """The sampling instant of a step."""
         return step * self.step_s

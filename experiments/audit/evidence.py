@@ -26,11 +26,13 @@ _NAMES = ("truth", "mean", "cov", "nees", "published", "ages")
 
 
 class RecordedEstimate(NamedTuple):
-    """A recorded estimate: mean (n,), upper triangle of the covariance, and total counters."""
+    """A recorded estimate: mean (n,), upper triangle of the covariance, total counters, and its age
+    in real time (None: it does not say)."""
 
     mean: np.ndarray
     cov: np.ndarray
     counters: dict[str, int]
+    age_s: float | None = None
 
 
 class Evidence(NamedTuple):
@@ -114,7 +116,10 @@ def _take(found: Evidence, topic: str, kind: str, message: dict[str, Any]) -> No
         case "estimate":
             place = int(message["step"]), int(message["node"])
             said = RecordedEstimate(
-                floats(message["mean"]), floats(message["cov"]), message["counters"]
+                floats(message["mean"]),
+                floats(message["cov"]),
+                message["counters"],
+                message.get("age_s"),
             )
             found.estimates.setdefault(place, []).append(said)
         case "event":

@@ -95,6 +95,24 @@ def _silences(run: Run, wanted: int, missing: list[tuple[int, int]]) -> Account:
     return _account(wanted, longest.values(), f"{len(missing)} missing" if missing else "")
 
 
+def _estimate_ages(run: Run) -> Account:
+    """Whether each estimate in real time says how old it was when it was sent, and was no older
+    than the timetable allows; in lockstep no estimate has an age."""
+    said = run.evidence
+    shown = said.arrays.get("estimate_age")
+    limit_s = np.inf if shown is None else float(shown.attrs.get("limit", np.inf))
+    ages = {place: one.age_s for place, all_of in said.estimates.items() for one in all_of}
+    known = [age_s for age_s in ages.values() if age_s is not None]
+    broken = [
+        f"step {step}: that of node {node} "
+        + ("says no age" if age_s is None else f"is {age_s:.3g} s old; allowed are {limit_s:.3g} s")
+        for (step, node), age_s in sorted(ages.items())
+        if (age_s is None) == said.in_real_time or not 0 <= (age_s or 0.0) <= limit_s
+    ]
+    note = f"oldest {max(known):.3g} s, limit {limit_s:.3g} s" if known else ""
+    return _account(len(ages), broken, note)
+
+
 def _strangers(run: Run) -> Account:
     """Whether a node that is out says nothing.
 
@@ -274,6 +292,7 @@ PROMISES = (
     RunPromise("each recorded message can be read", _readable),
     RunPromise("each step has one truth, and run.nc has each step", _steps),
     RunPromise("each member has an estimate in each step", _estimates),
+    RunPromise("each estimate in real time says its age, in the limit", _estimate_ages),
     RunPromise("a node that is out says nothing", _strangers),
     RunPromise("each message is recorded once", _once),
     RunPromise("run.nc holds the recorded estimates, to the bit", _arrays),

@@ -133,7 +133,8 @@ def _smoothing(
 def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigures | None:
     if description.tempo is None:
         return None
-    return figures_of(description.tempo, read_recording(folder / RECORDING), trace.counters)
+    messages = read_recording(folder / RECORDING)
+    return figures_of(description.tempo, messages, trace.counters, trace.estimate_age_s)
 
 
 def _show(figures: Figures, description: Description, shown: FiguresForm) -> None:

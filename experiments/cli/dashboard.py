@@ -1,4 +1,7 @@
-"""`concord dashboard`: a network that runs, in the browser; attaches and detaches unnoticed."""
+"""`concord dashboard` and `concord replay`: a network that runs, or a recorded run, in the browser.
+
+A page attaches to a network and detaches from it unnoticed.
+"""
 
 import sys
 import threading
@@ -13,6 +16,7 @@ from concord.experiments.monte_carlo.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
 from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
 from concord.experiments.priority import give_way
+from concord.experiments.results.folder import RECORDING, read_description
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
@@ -116,3 +120,34 @@ def _follow_launcher(
             page.controls.offer_again(lambda: _tell_launcher(RUN_AGAIN))
             source.end("the run is over" if folder is None else f"results in {folder}")
     gone.set()
+
+
+def replay(
+    recording: tyro.conf.Positional[Path],
+    options: Annotated[PageOptions, tyro.conf.arg(name="")],
+) -> None:
+    """Show a recorded run in the browser: its run.mcap or its folder."""
+    from concord.dashboard.serve import open_recording
+
+    with user_errors():
+        check_place(options.host, options.http_port)
+        if not recording.exists():
+            raise ValueError(
+                f"{recording}: there is none; name the run.mcap of a run, or its folder"
+            )
+        folder = recording if recording.is_dir() else recording.parent
+        description = read_description(folder)
+        file = folder / RECORDING if recording.is_dir() else recording
+        if not file.is_file():
+            raise ValueError(f"{file}: there is none; the run ended before it began to record")
+        others = OtherRuns(description.setup, sparing=False)
+        page = open_recording(
+            description.setup, file, options.host, options.http_port, options.light, others
+        )
+    sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
+    try:
+        with user_errors():
+            page.run(lambda: False)
+    finally:
+        others.close()
+        page.close()

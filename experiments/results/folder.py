@@ -194,6 +194,10 @@ def write_arrays(
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
     if trace.suspect is not None:
         variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
+    if trace.estimate_age_s is not None:
+        limit = {} if description.tempo is None else {"limit": description.tempo.oldest_s}
+        said = {"units": "s", "origin": "sampling instant of the step", **limit}
+        variables["estimate_age"] = (("step", "node"), trace.estimate_age_s, said)
     if trace.past is not None:
         variables |= past_variables(trace.past, ("step",))
     if (found := innovations or run_innovations(setup, trace)) is not None:

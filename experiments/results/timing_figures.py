@@ -5,6 +5,9 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
+from concord.experiments.results.estimate_age import peak_ages_s
+from concord.nodes.changes import Event
+from concord.nodes.history import history_of
 from concord.nodes.messages import Grant, Timing
 from concord.nodes.tempo import Tempo
 from concord.runtime.recorded import message_of
@@ -26,8 +29,9 @@ class TimingFigures(msgspec.Struct, frozen=True):
     `late_shares` came after their cycle; `late_bids` came after the environment had granted the
     slots. `lost_heartbeats` counts steps that began without readings. `skips` counts how often a
     node was far behind and left out the steps between. `cycle_jitter` is the
-    lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the time from the
-    sampling instant to the estimate.
+    lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the age of estimates
+    when they are sent, from the sampling instant on, and at most `delay_limit_ms`. `age` is the age
+    that estimates of members reached before the next ones came.
     """
 
     cycle_stretch: float
@@ -44,16 +48,25 @@ class TimingFigures(msgspec.Struct, frozen=True):
     lost_heartbeats: int
     skips: int
     delay: TimingSpread
+    delay_limit_ms: float
+    age: TimingSpread
 
 
 def figures_of(
-    tempo: Tempo, messages: Iterable[tuple[str, bytes]], counters: Sequence[dict[str, int]]
+    tempo: Tempo,
+    messages: Iterable[tuple[str, bytes]],
+    counters: Sequence[dict[str, int]],
+    sent_age_s: np.ndarray | None,
 ) -> TimingFigures:
-    """The figures of recorded (topic, bytes), of a step at least, and of each node's counters."""
-    wanted = (one for one in messages if one[0] == "grant" or one[0].startswith("timing/"))
+    """The figures of recorded (topic, bytes), of a step at least, of each node's counters, and of
+    the ages (steps, N) of estimates when they were sent; None for unknown."""
+    kinds = ("grant", "event", "timing")
+    wanted = (one for one in messages if one[0].partition("/")[0] in kinds)
     read = [message_of(*one, len(counters)) for one in wanted]
     said = [one for one in read if isinstance(one, Timing)]
     grants = [one for one in read if isinstance(one, Grant)]
+    history = history_of(1, [one for one in read if isinstance(one, Event)])
+    sent_s = np.empty((0, len(counters))) if sent_age_s is None else sent_age_s
     incomplete = sum(timing.incomplete for timing in said)
     overrun = sum(timing.overrun for timing in said)
     came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]
@@ -72,11 +85,15 @@ def figures_of(
         heartbeat=_spread(came),
         lost_heartbeats=len(said) - len(came),
         skips=sum(c.get("skipped ahead", 0) for c in counters),
-        delay=_spread([timing.delay_s for timing in said]),
+        delay=_spread(sent_s[np.isfinite(sent_s)]),
+        delay_limit_ms=tempo.oldest_s * 1e3,
+        age=_spread(peak_ages_s(sent_s, history, tempo.step_s)),
     )
 
 
-def _spread(times_s: Sequence[float]) -> TimingSpread:
+def _spread(times_s: Sequence[float] | np.ndarray) -> TimingSpread:
+    if len(times_s) == 0:
+        return TimingSpread(np.nan, np.nan, np.nan)
     middle, high, largest = np.quantile(times_s, [0.5, 0.99, 1.0]) * 1e3
     return TimingSpread(float(middle), float(high), float(largest))
 
@@ -91,7 +108,8 @@ def lines(figures: TimingFigures) -> list[str]:
         f"late shares {figures.late_shares}, bids {figures.late_bids}; steps without readings "
         f"{figures.lost_heartbeats}; skips of nodes far behind {figures.skips}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
-        f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)}",
+        f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)} (limit "
+        f"{figures.delay_limit_ms:.4g}), age until the next estimate {_words(figures.age)}",
     ]
 
 

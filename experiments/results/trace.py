@@ -47,6 +47,7 @@ class Trace(NamedTuple):
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
         for rules without, and where the network changed. past: for rules that estimate it. suspect:
         (steps, N), which nodes say that their belief does not fit what they have heard.
+        estimate_age_s: (steps, N), age of each estimate when it was sent; None but in real time.
     """
 
     truth: np.ndarray
@@ -63,6 +64,7 @@ class Trace(NamedTuple):
     spread: RecordSpread | None = None
     past: Past | None = None
     suspect: np.ndarray | None = None
+    estimate_age_s: np.ndarray | None = None
 
     @property
     def steps(self) -> int:
@@ -107,15 +109,20 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
                 timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
     # Only in real time does anybody go on without what was lost.
+    newest = max((step for step, _ in estimates), default=-1)
     if timed:
-        newest = max((step for step, _ in estimates), default=-1)
         history = with_holes(history, estimates.keys() & measured.keys(), nodes, newest + 1)
     steps = 0
-    while steps in truths and all(
-        (steps, node) in kept
-        for kept in (measured, estimates)
-        for node in range(nodes)
-        if history.is_in(node, steps)
+    # Also where all nodes are out in the last steps.
+    while (
+        steps in truths
+        and (steps <= newest or not timed)
+        and all(
+            (steps, node) in kept
+            for kept in (measured, estimates)
+            for node in range(nodes)
+            if history.is_in(node, steps)
+        )
     ):
         steps += 1
     return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes)
@@ -137,6 +144,7 @@ def _assemble(
     packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
     past, suspect = _nothing(setup, steps), np.zeros((steps, nodes), dtype=bool)
+    estimate_age_s = np.full((steps, nodes), np.nan)
     delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -149,6 +157,7 @@ def _assemble(
         ages[k, i, i] = 0
         ages[k, i, setup.neighbours[i]] = estimate.ages
         counters[i], suspect[k, i] = estimate.counters, estimate.suspect
+        estimate_age_s[k, i] = np.nan if estimate.age_s is None else estimate.age_s
         if past is not None and estimate.smoothed and estimate.smoothed_std:
             past.mean[k, :, i] = from_wire(estimate.smoothed)
             past.std[k, :, i] = from_wire(estimate.smoothed_std)
@@ -176,6 +185,7 @@ def _assemble(
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
         past=past,
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
+        estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
     )
 
 

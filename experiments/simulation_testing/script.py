@@ -38,7 +38,9 @@ OTHER_WORDS = ("restart", "heal", "set")
 WORDS = (*EVERY_FAULT, *OTHER_WORDS)
 # These words change no share that a receiver uses. A guardian blocks a babbling node where every
 # slot has an owner, and one of two channels delivers every frame that is on both.
-HARMLESS = ("duplicate", "reorder", "replay", "spoof", "guardian", "babble", "channel")
+HARMLESS = (
+    "duplicate", "reorder", "replay", "spoof", "guardian", "babble", "channel", "slow-cpu",
+)  # fmt: skip
 
 _SETTINGS: dict[str, tuple[Any, ...]] = {
     "rule": ("ci", "wac", "hcmci", "labelled", "diffusion", "ellipsoid", "zonotope"),
@@ -50,7 +52,13 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "decay": (0.2, 0.7),
 }
 # Ranges of numbers whose own range is wider than a case.
-_RANGES = {"CYCLES": (1, 5), "STEPS": (1, 6), "SIZE": (-20.0, 20.0), "SHARPNESS": (1.0, 100.0)}
+_RANGES = {
+    "CYCLES": (1, 5),
+    "STEPS": (1, 6),
+    "SIZE": (-20.0, 20.0),
+    "SHARPNESS": (1.0, 100.0),
+    "FACTOR": (1.0, 20.0),
+}
 _PROBABILITIES = (0.05, 0.9)
 _HARMLESS_SWARMS = 0.25
 

@@ -90,6 +90,10 @@ FAULTS: dict[str, FaultWord] = {
     "slow": FaultWord(
         "nodes", "node", (_CYCLES,), "slow 3 2", "slow 3 0", "all that a node says comes late"
     ),
+    "slow-cpu": FaultWord(
+        "nodes", "node", (Number("FACTOR", 0, 10_000),), "slow-cpu 3 4", "slow-cpu 3 0",
+        "a processor takes so many times as long, in real time alone",
+    ),
     "drift": FaultWord(
         "nodes", "node", (Number("PPM", -10_000, 10_000),), "drift 3 9000", "drift 3 0",
         "a node's oscillator leaves its rate; clock correction follows up to a limit", "a cluster",

@@ -125,6 +125,9 @@ DAMAGE: dict[str, Callable[[], Messages]] = {
     "each recorded message can be read": lambda: [*MESSAGES, ("estimate/1", b"{")],
     "each step has one truth, and run.nc has each step": lambda: _twice(place("truth", step=4)),
     "each member has an estimate in each step": lambda: _without(place("estimate/1", step=4)),
+    "each estimate in real time says its age, in the limit": lambda: edited(
+        place("estimate/1", step=4), lambda message: message.update(age_s=0.1)
+    ),
     "a node that is out says nothing": lambda: [
         *MESSAGES,
         ("estimate/2", MESSAGES[place("estimate/2", step=2)][1].replace(b'"step":2', b'"step":4')),

@@ -36,7 +36,8 @@ def play(
     tempo = tempo_of(setup, slower * tempo_of(setup, None).stretch)
     recording = folder / "run.mcap"
     run_processes(setup, "realtime", recording, None, on_event, tempo)
-    return figures_of(tempo, read_recording(recording), trace_of(setup, recording).counters)
+    trace = trace_of(setup, recording)
+    return figures_of(tempo, read_recording(recording), trace.counters, trace.estimate_age_s)
 
 
 @pytest.mark.zenoh
@@ -163,14 +164,17 @@ def test_cycles_last_as_long_as_processes_can_hold():
 
 def test_figures_count_what_was_said():
     said = [
-        Timing(0, 0, 0.001, [0.001, 0.002, 0.003], 1, 0, 0.061),
-        Timing(1, 0, 0.050, [0.050, 0.030, 0.010], 0, 2, 0.071),
+        Timing(0, 0, 0.001, [0.001, 0.002, 0.003], 1, 0),
+        Timing(1, 0, 0.050, [0.050, 0.030, 0.010], 0, 2),
     ]
     granted = [Grant(0, [1], 0), Grant(1, [1], 0, [0, 2])]
     messages = [(topic(one), encode(one)) for one in (*said, *granted)]
-    figures = figures_of(Tempo(10.0, 0.02, 0.1), messages, [{"late": 2}, {}])
+    figures = figures_of(
+        Tempo(10.0, 0.02, 0.1), messages, [{"late": 2}, {}], np.array([[0.061, 0.071]])
+    )
     assert (figures.cycles, figures.deadline_misses, figures.late_shares) == (6, 3, 2)
     assert figures.late_bids == 2
     assert figures.cycle_jitter.largest_ms == pytest.approx(50)
     assert figures.delay.p50_ms == pytest.approx(66)
+    assert figures.delay_limit_ms == pytest.approx(2600)
     assert "deadline misses 3 of 6 cycles" in lines(figures)[1]

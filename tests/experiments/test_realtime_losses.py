@@ -57,7 +57,9 @@ class Played:
         self.setup, self.messages = setup, messages
         self.trace: Trace = trace_of(setup, folder / "run.mcap")
         kept = tempo or slow_tempo(setup)
-        self.figures: TimingFigures = figures_of(kept, messages, self.trace.counters)
+        self.figures: TimingFigures = figures_of(
+            kept, messages, self.trace.counters, self.trace.estimate_age_s
+        )
         assert broken_promises(setup, folder) == []
 
     def told(self, kind: str) -> list:
@@ -200,8 +202,8 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
     assert len(asked & set(without)) > 0.5 * len(without)
     assert any(STRUCK in grant.winners for grant in grants if grant.cycle > without[-1][0])
     assert played.figures.late_bids == sum(map(len, unheard.values()))
-    said = played.told("timing")
-    delays_s = [one.delay_s for one in said if one.node != STRUCK]
+    said = played.told("estimate")
+    delays_s = [one.age_s for one in said if one.node != STRUCK]
     # Held up they would be in one step of five.
     assert np.quantile(delays_s, 0.9) < HANG_S / 2
     assert not played.step_of(Gone)
@@ -220,7 +222,7 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
     assert 15 < joined < 45
     out = np.isnan(played.trace.mean[:, :, 0])
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(8, joined))
-    others = [one for one in played.told("timing") if one.node != STRUCK]
+    others = [one for one in played.told("estimate") if one.node != STRUCK]
     assert [one.step for one in others if one.node == 0] == list(range(50))
     # A wait would hold up both neighbours of the node, or all nodes, from the restart on. A busy
     # machine holds up single nodes, or all of them at any time.
@@ -228,7 +230,7 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
     common_s = np.zeros(50)
     for nodes in (near, set(range(5)) - near - {STRUCK}):
         for step in range(50):
-            told = [one.delay_s for one in others if one.step == step and one.node in nodes]
+            told = [one.age_s for one in others if one.step == step and one.node in nodes]
             common_s[step] = max(common_s[step], min(told))
     usual_s = np.delete(common_s, np.s_[15 : joined + 1]).max()
     assert common_s[15 : joined + 1].max() < max(0.5, 2 * usual_s)
@@ -248,6 +250,25 @@ def test_who_is_stopped_for_longer_than_the_lease_is_let_in_again_by_itself(tmp_
     out = np.isnan(played.trace.mean[:, :, 0])
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(gone, joined))
     assert not np.delete(out, STRUCK, axis=1).any()
+
+
+def test_a_node_with_a_slow_processor_says_the_age_of_its_estimates(tmp_path: Path):
+    """A step of it lasts longer than the time after which its estimate counts as lost."""
+    setup = small(nodes=5, graph="ring", steps=80, changes=(f"10 slow-cpu {STRUCK} 10000",))
+    tempo = tempo_of(setup, None)
+    with playing(setup, tmp_path, tempo) as network:
+        pass
+    played = Played(setup, tmp_path, network.recorded(), tempo)
+    ages_s = played.trace.estimate_age_s
+    assert ages_s is not None
+    # In healthy steps, and in those in which it has just entered again, its age is known.
+    assert np.nanmax(ages_s) <= tempo.oldest_s
+    assert np.isfinite(ages_s[:10, STRUCK]).any()
+    assert np.isfinite(ages_s[20:, STRUCK]).mean() < 0.5
+    others = np.delete(ages_s, STRUCK, axis=1)
+    assert np.isfinite(others).mean() > 0.9
+    assert np.isfinite(others[20:]).mean() > 2 * np.isfinite(ages_s[20:, STRUCK]).mean()
+    assert played.figures.delay.largest_ms <= played.figures.delay_limit_ms
 
 
 def test_who_falls_far_behind_skips_ahead_and_estimates_the_present(tmp_path: Path):

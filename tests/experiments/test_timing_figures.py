@@ -33,9 +33,10 @@ LATE_S = st.floats(-0.01, 0.2)
 @given(st.lists(st.tuples(LATE_S, st.lists(LATE_S, min_size=1, max_size=4)), min_size=1))
 def test_spreads_lie_at_their_ranks(steps: list[tuple[float, list[float]]]):
     """Between the values at the ranks next to p of all, counted by hand."""
-    said = [Timing(0, k, 0.0, cycles, 0, 0, delay) for k, (delay, cycles) in enumerate(steps)]
+    said = [Timing(0, k, 0.0, cycles, 0, 0) for k, (_, cycles) in enumerate(steps)]
+    sent_s = np.array([[delay] for delay, _ in steps])
     messages = [(topic(one), encode(one)) for one in said]
-    figures = figures_of(Tempo(1.0, 0.02, 0.1), messages, [{}])
+    figures = figures_of(Tempo(1.0, 0.02, 0.1), messages, [{}], sent_s)
     jitter = sorted(1e3 * late for _, cycles in steps for late in cycles)
     delays = sorted(1e3 * delay for delay, _ in steps)
     assert figures.cycles == len(jitter)
@@ -97,12 +98,14 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
         (one.node, one.step): one
         for one in (decode(t, data) for t, data in messages if t.startswith("timing/"))
     }
-    ends = trace_of(setup, tmp_path / "run.mcap").counters
-    figures = figures_of(tempo, messages, ends)
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    ends, sent_s = trace.counters, trace.estimate_age_s
+    assert sent_s is not None
+    figures = figures_of(tempo, messages, ends, sent_s)
 
     # Each estimate is heard after it was sent, mostly within a few milliseconds.
     behind_s = [
-        heard_s - step * tempo.step_s - said[node, step].delay_s
+        heard_s - step * tempo.step_s - sent_s[step, node]
         for (node, step), heard_s in onlooker.estimates_s.items()
     ]
     assert min(behind_s) > 0

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from concord.bus.flexray.share_frames import read_frame
 from concord.experiments.agreement import first_difference
 from concord.experiments.results.trace import Trace, read_trace
+from concord.nodes.changes import Event, Gone
 from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode, encode, from_wire
 from concord.runtime.drivers import in_memory
 from tests.experiments.support import small
@@ -102,13 +103,21 @@ def test_messages_after_the_last_complete_step_are_left_out():
 
 def test_in_real_time_a_node_that_falls_behind_cuts_off_no_step_of_the_others():
     late = [one for one in MESSAGES["full"] if not _is_late(*one)]
-    timing = ("timing/0", encode(Timing(0, 0, 0.0, [0.0], 0, 0, 0.0)))
+    timing = ("timing/0", encode(Timing(0, 0, 0.0, [0.0], 0, 0)))
     trace = read_trace(SETUPS["full"], [*late, timing])
     assert trace.steps == 5
     assert np.isnan(trace.mean[2:, 1]).all()
     assert not np.isnan(np.delete(trace.mean, 1, axis=1)).any()
+    # Steps at the end in which all nodes were out are those of no node.
+    gone = [("event", encode(Event(4, Gone(node)))) for node in range(4)]
+    last = [one for one in late if not _is_of_last_step(*one)]
+    assert read_trace(SETUPS["full"], [*last, *gone, timing]).steps == 4
     # In lockstep all wait for it.
     assert read_trace(SETUPS["full"], late).steps == 2
+
+
+def _is_of_last_step(topic: str, data: bytes) -> bool:
+    return topic.startswith("estimate/") and decode(topic, data).step >= 4
 
 
 def _is_late(topic: str, data: bytes) -> bool:

@@ -13,7 +13,7 @@ from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import Schedule, dynamic_only
 from concord.filters.gaussian import Gaussian
 from concord.nodes import environment, environment_changes
-from concord.nodes.changes import Gone, Joined
+from concord.nodes.changes import Gone, Joined, Left, Welcome
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig, EnvironmentState
 from concord.nodes.messages import (
     Allowed,
@@ -26,6 +26,8 @@ from concord.nodes.messages import (
     decode,
     from_wire,
 )
+from concord.scenarios.build import build_environment
+from tests.experiments.support import small
 from tests.nodes.networks import DECAYED, Outcome, network, path, random_priors, ring, run
 
 PRIOR = Gaussian(np.zeros(1), np.eye(1))
@@ -214,3 +216,22 @@ def test_who_is_gone_again_before_its_first_step_is_not_told_to_have_returned():
     for node in (0, 2):
         state, _ = environment.step(config, state, estimate(node, 1))
     assert state.completed == 2
+
+
+def test_a_node_that_joins_hears_of_changes_after_its_welcome():
+    """Both nodes return before the same step; the first was welcomed while the second was out."""
+    config = build_environment(small(nodes=4, graph="ring", steps=6))
+    state, _ = environment.step(config, environment.begin(config), Allowed(1))
+    for change in (Left(1), Left(3)):
+        config, state, _ = environment_changes.apply(config, state, [change])
+    told = []
+    for node in (1, 3):
+        config, state, outbox = environment_changes.apply(config, state, [Joined(node)])
+        told += [one for one in outbox if isinstance(one, Welcome)]
+    assert [one.standing.absent for one in told] == [(3,), ()]
+    state = state._replace(completed=1)
+    _, messages = environment.step(config, state, Allowed(2))
+    changes = {one.node: one.changes for one in messages if isinstance(one, Measured)}
+    assert changes[1] == (Joined(3),)
+    assert changes[3] == ()
+    assert changes[0] == (Left(1), Left(3), Joined(1), Joined(3))

@@ -73,7 +73,7 @@ MESSAGES = [
     (Event(5, PaceChange(True, 20.0)), "event"),
     (Gone(4), "gone"),
     (Start(12345.678), "start"),
-    (Timing(2, 5, 0.001, [0.002, 1e-5], 1, 0, 0.04), "timing/2"),
+    (Timing(2, 5, 0.001, [0.002, 1e-5], 1, 0), "timing/2"),
     (Unreachable(2, 5), "unreachable/2"),
     (
         Welcome(

@@ -42,7 +42,7 @@ class TimingRecords:
             self._lacking = cycle
             record.incomplete += 1
 
-    def take(self, node: int, step: int, delay_s: float) -> Timing:
+    def take(self, node: int, step: int) -> Timing:
         """Return the timing of a step that is over, and forget it."""
         record = self._steps.pop(step)
         return Timing(
@@ -52,5 +52,4 @@ class TimingRecords:
             record.cycle_late_s,
             record.incomplete,
             record.overrun,
-            delay_s,
         )
