@@ -73,8 +73,15 @@ def test_every_documented_variable_is_there(dataset):
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     named = {name.strip(" `") for row in rows for name in row.split(",")}
     assert {"truth", "mean", "cov", "ages"} <= named
-    # The plant is not controlled, and the rule has no records.
-    elsewhere = {"control", "record_age", "suspect", "smoothed_mean", "smoothed_std"}
+    # The plant is not controlled, the rule has no records, and lockstep has no late estimates.
+    elsewhere = {
+        "control",
+        "record_age",
+        "estimate_age",
+        "suspect",
+        "smoothed_mean",
+        "smoothed_std",
+    }
     assert named - set(dataset.variables) <= elsewhere
     unnamed = set(dataset.data_vars) - named
     assert all("bus" in name or dataset[name].attrs or name == "asked" for name in unnamed)
