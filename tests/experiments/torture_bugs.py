@@ -156,7 +156,7 @@ BUGS = (
     Bug(
         "set membership forgets the noise of the plant",
         "concord.nodes.rules.set_membership", "predict_sets",
-        (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
+        (("step), transition, noise)", "step), transition, 0 * noise)"),),
     ),
     Bug(
         "a guardian blocks nobody",
