@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
 from concord.experiments.simulation_testing.draw import draw_case
 
-MOST_SEEDS = 60
+MOST_SEEDS = 100
 
 
 class Bug(NamedTuple):
