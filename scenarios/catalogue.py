@@ -1,5 +1,8 @@
 """The scenarios by name."""
 
+import numpy as np
+
+from concord.filters.metrics import nees
 from concord.scenarios.definitions import (
     control,
     liu2021,
@@ -46,6 +49,17 @@ def definition_of(scenario: Scenario) -> ScenarioDefinition:
     if isinstance(scenario.plant, UserPlant):
         return own.user_definition(scenario.plant.where)
     return _DEFINITIONS[scenario.name]
+
+
+def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """NEES (...) of errors (..., n) with cov (..., n, n) in the states of `Score.nees_states`.
+
+    A reading that stands for the truth has an error of its own, whose covariance is added.
+    """
+    definition = definition_of(scenario)
+    states = list(definition.score.nees_states)
+    believed = cov[..., states, :][..., states] + definition.reference_cov(scenario)
+    return nees(errors[..., states], believed)
 
 
 def definition_named(name: str) -> ScenarioDefinition:

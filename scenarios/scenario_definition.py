@@ -100,6 +100,8 @@ class ScenarioDefinition(NamedTuple):
         sensors: those of all nodes as one value whose arrays have the nodes' axis; None where they
             are too unlike for that.
         score: how its errors are measured.
+        reference_cov: covariance of what stands for the truth in the states of `score.nees_states`;
+            0 where the truth is exact.
         controller: of a scenario, None where nothing drives the plant.
         warnings: what a user must be told of the plant before a run.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
@@ -127,6 +129,7 @@ class ScenarioDefinition(NamedTuple):
     delivery: Callable[[Scenario], Delivery] | None = None
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
+    reference_cov: Callable[[Scenario], np.ndarray | float] = lambda _: 0.0
 
     def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:
         """The sensors of all nodes: one for all where the scenario has such, else one for each."""

@@ -6,7 +6,7 @@ from concord.dashboard.frames.frame import StepScores
 from concord.dashboard.frames.stage import Stage
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import inverse_spd, multiply
-from concord.filters.metrics import nees
+from concord.scenarios.catalogue import scored_nees
 
 # Of the largest value: sums of doubles are exact to some 1e-16 of it.
 _ROUNDING = 1e-13
@@ -39,14 +39,12 @@ def score(
 ) -> StepScores:
     """The scores of a step for truth (n,) and beliefs (N, n), which together believe `fused`;
     `central` heard everything."""
-    states, all_states = list(stage.score.states), list(stage.score.nees_states)
+    states = list(stage.score.states)
     off = belief.mean - truth
     error = np.linalg.norm(off[:, states], axis=-1)
     variances = np.diagonal(belief.cov, axis1=-2, axis2=-1)[:, states]
     living = alive & ~np.isnan(belief.mean).any(-1)
-    consistency = nees(
-        off[living][:, all_states], belief.cov[living][:, all_states][..., all_states]
-    )
+    consistency = scored_nees(stage.setup.scenario, off[living], belief.cov[living])
     means = belief.mean[living][:, states]
     return StepScores(
         error=error,

@@ -15,9 +15,9 @@ from concord.experiments.results.innovations.figures import InnovationFigures
 from concord.experiments.results.innovations.of_run import judged
 from concord.experiments.results.trace import Past
 from concord.filters.gaussian import Gaussian
-from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.innovations import Innovations, innovations_of_all
 from concord.scenarios.rules import is_set_valued
 
@@ -208,9 +208,9 @@ def _centralised(
     errors = _where(counted, belief.mean - histories.truth)
     if is_set_valued(setup.scenario):
         return errors[..., list(score.states)], np.full(shape[0], np.nan)
-    part = list(score.nees_states)
-    normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])
-    return errors[..., list(score.states)], mean_of_known(normalised, (1,)) / len(part)
+    normalised = scored_nees(setup.scenario, errors, belief.cov)
+    anees = mean_of_known(normalised, (1,)) / len(score.nees_states)
+    return errors[..., list(score.states)], anees
 
 
 def _where(counted: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -13,11 +13,11 @@ from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
-from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import frame_format
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
@@ -108,7 +108,7 @@ def _anees_central(
     if is_set_valued(setup.scenario):
         return np.full(len(errors), np.nan)
     states = list(definition_of(setup.scenario).score.nees_states)
-    values = nees(errors[..., states], symmetrise(_part(cov, states)))
+    values = scored_nees(setup.scenario, errors, symmetrise(cov))
     return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
 
 

@@ -16,12 +16,11 @@ from concord.experiments.monte_carlo.spread_history import SpreadHistory
 from concord.experiments.results.record_spread import RecordSpread
 from concord.experiments.results.trace import Past, read_trace
 from concord.filters.gaussian import Gaussian
-from concord.filters.metrics import nees
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
 from concord.runtime.batched.memory import keep_freed_memory
 from concord.runtime.drivers import in_memory
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
@@ -330,14 +329,12 @@ def _write(
 ) -> None:
     """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
     belief, truth = recorded.belief, recorded.truth
-    states = list(definition_of(setup.scenario).score.nees_states)
-    errors = (belief.mean - truth[:, None])[..., states]
     values: dict[str, np.ndarray | None] = {
         "truth": truth,
         "control": recorded.control,
         "mean": belief.mean,
         "cov_trace": np.trace(belief.cov, axis1=-2, axis2=-1),
-        "nees": nees(errors, belief.cov[..., states, :][..., states]),
+        "nees": scored_nees(setup.scenario, belief.mean - truth[:, None], belief.cov),
         "payload_bytes": recorded.payload_bytes.astype(np.int32),
         "asked": recorded.asked,
         "classes": recorded.classes.astype(np.int16),

@@ -23,10 +23,10 @@ from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.record_spread import record_ages
 from concord.experiments.results.trace import Past, Trace
 from concord.experiments.results.user_files import from_copies, keep_copies
-from concord.filters.metrics import consensus, nees
+from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import writing
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
 
@@ -178,7 +178,7 @@ def write_arrays(
         "error": (state, errors),
         "nees": (
             ("step", "node"),
-            nees(errors[..., score], trace.cov[..., score, :][..., score]),
+            scored_nees(setup.scenario, errors, trace.cov),
             {"states": [names[i] for i in score], **_meaning(setup)},
         ),
         "disagreement": (state, trace.mean - consensus(trace.mean)),

@@ -14,13 +14,13 @@ from concord.experiments.results.folder import Description
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
-from concord.filters.metrics import anees, rmse
+from concord.filters.metrics import mean_of_known, rmse
 from concord.scenarios.baselines import (
     centralised,
     centralised_smoothed,
     filters_step_by_step,
 )
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.setup import Setup
 
 SMOOTHED = "smoothed.nc"
@@ -71,17 +71,17 @@ def smoothed_of(setup: Setup, trace: Trace) -> Smoothed:
 def smoothing_figures(setup: Setup, trace: Trace, found: Smoothed, first: int) -> SmoothingFigures:
     """The figures of a reference from a step on."""
     score = definition_of(setup.scenario).score
-    states, judged = list(score.states), list(score.nees_states)
+    states = list(score.states)
     of_smoothed, of_filtered = (
         (one.mean - trace.truth)[first:][:, states] for one in (found.smoothed, found.filtered)
     )
     away = (trace.mean - found.smoothed.mean[:, None])[first:][..., states]
-    errors = (found.smoothed.mean - trace.truth)[first:][:, judged]
-    cov = found.smoothed.cov[first:][:, judged][..., judged]
+    errors, cov = found.smoothed.mean - trace.truth, found.smoothed.cov
+    consistency = mean_of_known(scored_nees(setup.scenario, errors, cov)[first:], (0,))
     return SmoothingFigures(
         rmse=float(rmse(of_smoothed, (0,))),
         rmse_filtered=float(rmse(of_filtered, (0,))),
-        anees=float(anees(errors, cov, (0,))),
+        anees=float(consistency / len(score.nees_states)),
         distance=rmse(away, (0,)).tolist(),
     )
 

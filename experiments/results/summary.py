@@ -29,9 +29,9 @@ from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
 from concord.filters.gaussian import Gaussian
-from concord.filters.metrics import anees, disagreement, largest_of_known, rmse
+from concord.filters.metrics import disagreement, largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised, local_only
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
@@ -127,12 +127,12 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     who = _believers(network)
     central_rmse = float(rmse(of_central, (0,)))
     near = _near(score, trace, setup.time_step_s)[first:]
-    consistency = _consistency(network, trace.truth, score, first, (0,))
+    consistency = _consistency(setup, network, trace, first, (0,))
     set_valued, counters = is_set_valued(setup.scenario), trace.counters
     contained = partial(_contained, trace) if set_valued else lambda _: None
     if set_valued:
         consistency = np.full_like(consistency, np.nan)
-    per_step = _consistency(network, trace.truth, score, first, (1,))
+    per_step = _consistency(setup, network, trace, first, (1,))
     of_steps = anees_interval(per_step)
     innovations, sentence = judged_run(setup, found, first, per_step)
     return Figures(
@@ -145,10 +145,8 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
         disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
-        anees=_unless(set_valued, _consistency(network, trace.truth, score, first, (0, 1))),
-        anees_centralised=_unless(
-            set_valued, _consistency(central, trace.truth, score, first, (0,))
-        ),
+        anees=_unless(set_valued, _consistency(setup, network, trace, first, (0, 1))),
+        anees_centralised=_unless(set_valued, _consistency(setup, central, trace, first, (0,))),
         near_s=score.near_s,
         rmse_near=rmse(of_node[near], (0,)).tolist(),
         rmse_near_local_only=rmse(of_alone[near], (0,)).tolist(),
@@ -253,11 +251,14 @@ def _errors(mean: np.ndarray, truth: np.ndarray, score: Score, first: int) -> np
 
 
 def _consistency(
-    belief: Gaussian, truth: np.ndarray, score: Score, first: int, axes: tuple[int, ...]
+    setup: Setup, belief: Gaussian, trace: Trace, first: int, axes: tuple[int, ...]
 ) -> np.ndarray:
-    states = list(score.nees_states)
-    errors = _errors(belief.mean, truth, score._replace(states=score.nees_states), first)
-    return anees(errors, belief.cov[first:][..., states, :][..., states], axes)
+    known = trace.truth[first:]
+    errors = belief.mean[first:] - known.reshape(len(known), *(1,) * (belief.mean.ndim - 2), -1)
+    states = definition_of(setup.scenario).score.nees_states
+    return mean_of_known(scored_nees(setup.scenario, errors, belief.cov[first:]), axes) / len(
+        states
+    )
 
 
 def table(figures: Figures, title: str) -> Table:

@@ -115,6 +115,17 @@ def _sensor(scenario: Scenario, node: int) -> CarSensor:
     return sensor(node, _model(scenario).single_track)
 
 
+@cache
+def _slip_variance(data: str) -> float:
+    return read_car(data).sensors.side_slip.noise ** 2
+
+
+def _reference_cov(scenario: Scenario) -> float:
+    """Variance of the side slip that a log has in place of the truth."""
+    data = vehicle_of(scenario).data
+    return 0.0 if data is None else _slip_variance(data)
+
+
 def _check(scenario: Scenario) -> None:
     if scenario.nodes != len(NODES):
         raise ValueError(
@@ -156,4 +167,5 @@ DEFINITION = ScenarioDefinition(
     # The side slip is what the car is estimated for, and what a log may know.
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=_all_steps,
+    reference_cov=_reference_cov,
 )

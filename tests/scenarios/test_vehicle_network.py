@@ -17,11 +17,11 @@ from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import write_drive
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import SIDE_SLIP, STATE_NAMES
-from concord.plants.vehicle.parameters import ProcessNoise
+from concord.plants.vehicle.parameters import ProcessNoise, SensorSheet, SensorSheets
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import local_only
 from concord.scenarios.build import build_node, filter_of
-from concord.scenarios.catalogue import definition_named
+from concord.scenarios.catalogue import definition_named, scored_nees
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
@@ -103,6 +103,23 @@ def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
     known = np.isfinite(trace.truth[:, SIDE_SLIP])
     error = (trace.mean[..., SIDE_SLIP] - trace.truth[:, None, SIDE_SLIP])[known][100:]
     assert np.sqrt((error**2).mean()) < np.radians(0.15)
+
+
+def test_the_noise_of_a_logged_slip_is_no_error_of_the_estimates(tmp_path: Path):
+    """ANEES was 70 where the slip sensor was noisier than the estimates."""
+    sheets = SensorSheets(side_slip=SensorSheet(noise=0.02))
+    car = msgspec.structs.replace(FITTED_CARS["bmw-320i"], sensors=sheets)
+    write_drive(tmp_path, model_drive(), car)
+    rng = np.random.default_rng(3)
+    spread = rng.standard_normal((4000, 6, 6))
+    cov = 1e-4 * spread @ spread.mT
+    error = rng.multivariate_normal(np.zeros(6), np.eye(6), 4000)
+    error = np.einsum("kij,kj->ki", np.linalg.cholesky(cov), error)
+    read = error - 0.02 * rng.standard_normal((4000, 1))
+    logged, simulated = setup(steps=2, data=str(tmp_path)).scenario, setup(steps=2).scenario
+    for drive, off in ((logged, read), (simulated, error)):
+        assert abs(scored_nees(drive, off, cov).mean() - 1) < 4 * np.sqrt(2 / 4000)
+    assert scored_nees(simulated, read, cov).mean() > 1.3
 
 
 def test_process_noise_is_that_of_the_cars_file_times_the_option(tmp_path: Path):
