@@ -64,7 +64,7 @@ class IdentifyOptions:
     """Slower parts of the drive do not count, in m/s."""
     friction: bool = False
     """Seek the friction too; only a drive near the limit tells it."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write the car with what was found as TOML. The file must not exist."""
     json: bool = False
     """Print one JSON object instead of a table."""
