@@ -17,6 +17,8 @@ from concord.bus.recordings.waveform import Waveform
 from tests.bus.signals import encode_bits, from_bits
 from tests.bus.support import served
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_recording_gives_the_known_grid(audi: Decoding):
     found = fit(audi)

@@ -10,6 +10,8 @@ from tests.experiments.flexray_support import concord
 from tests.experiments.lives_bugs import LIVES_BUGS, MOST_SEEDS, first_found
 from tests.experiments.torture_bugs import Bug
 
+pytestmark = pytest.mark.slow
+
 
 def test_no_promise_breaks_and_what_happened_is_counted(capsys: pytest.CaptureFixture[str]):
     code, out, _ = concord(capsys, "lives", "--seeds", "1..12", "--workers", "1", "--json")

@@ -10,6 +10,8 @@ from concord.scenarios.build import build_bus
 from tests.nodes.changing import run, same_bits
 from tests.nodes.fault_networks import FIRST, ROUNDS, STEPS, from_first, ring, total
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("ppm", [600.0, -1300.0])
 def test_an_uncorrected_clock_is_refused_once_it_is_beyond_the_precision(

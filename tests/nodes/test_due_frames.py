@@ -23,6 +23,8 @@ from tests.nodes.one_node import (
     share,
 )
 
+pytestmark = pytest.mark.slow
+
 SENDERS = st.sampled_from([0, 2, STRANGER])
 
 

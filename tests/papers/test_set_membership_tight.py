@@ -33,6 +33,8 @@ from concord.plants import liu2021
 from concord.plants.bounded import BoundedSystem
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes
 
+pytestmark = pytest.mark.slow
+
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLE = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 
