@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from concord.filters.sets.criterion import plain_trace
 from concord.filters.sets.ellipsoid import sum_factor
 from concord.filters.sets.multipliers import (
+    ACCURACY,
     Problem,
     certified_bound,
     optimal_multipliers,
@@ -74,13 +75,15 @@ def test_the_matrix_inequality_holds_and_with_it_every_possible_point(seed: int)
 
 @settings(max_examples=25)
 @given(seed=SEEDS)
+@example(seed=2_285_437_232)
 def test_any_feasible_multipliers_prove_an_ellipsoid_but_none_a_smaller_one(seed: int):
     rng = np.random.default_rng(seed)
     problem = random_problem(rng)
     best, below = optimal_multipliers(problem)
     least = (certified_bound(problem, best).factor ** 2).sum()
     assume(np.isfinite(least))
-    assert least * (1 - 1e-5) <= below <= least
+    # The last barrier is relative to the trace of the one before, which may be some times larger.
+    assert least * (1 - 4 * ACCURACY) <= below <= least
     for _ in range(30):
         other = best * np.exp(rng.normal(0.0, 0.3, best.shape))
         bound = certified_bound(problem, other)
