@@ -25,7 +25,7 @@ from concord.experiments.results.trace import Past, Trace
 from concord.experiments.results.user_files import from_copies, keep_copies
 from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
-from concord.runtime.disk import writing
+from concord.runtime.disk import read_json, writing
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
@@ -139,15 +139,8 @@ def read_description_file(path: Path) -> Description:
     Raises:
         ValueError: there is none, or it is not one of ours.
     """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Description)
-    except OSError as error:
-        raise ValueError(
-            f"{path}: cannot be read ({error.strerror}); name a run folder, or for a host the file "
-            "that `concord setup` has made"
-        ) from None
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{path}: not the description of a run ({error})") from None
+    cure = "name a run folder, or for a host the file that `concord setup` has made"
+    return read_json(path, Description, cure, "not the description of a run")
 
 
 def write_arrays(

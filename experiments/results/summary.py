@@ -253,12 +253,11 @@ def _errors(mean: np.ndarray, truth: np.ndarray, score: Score, first: int) -> np
 def _consistency(
     setup: Setup, belief: Gaussian, trace: Trace, first: int, axes: tuple[int, ...]
 ) -> np.ndarray:
-    known = trace.truth[first:]
-    errors = belief.mean[first:] - known.reshape(len(known), *(1,) * (belief.mean.ndim - 2), -1)
-    states = definition_of(setup.scenario).score.nees_states
-    return mean_of_known(scored_nees(setup.scenario, errors, belief.cov[first:]), axes) / len(
-        states
-    )
+    score = definition_of(setup.scenario).score
+    every = score._replace(states=tuple(range(belief.mean.shape[-1])))
+    errors = _errors(belief.mean, trace.truth, every, first)
+    values = scored_nees(setup.scenario, errors, belief.cov[first:])
+    return mean_of_known(values, axes) / len(score.nees_states)
 
 
 def table(figures: Figures, title: str) -> Table:

@@ -15,7 +15,7 @@ from concord.experiments.places import make_folder
 from concord.experiments.sweep.cells import difference
 from concord.experiments.sweep.pieces import Origin, program
 from concord.experiments.sweep.specification import Specification
-from concord.runtime.disk import writing
+from concord.runtime.disk import read_json, writing
 
 SPECIFICATION = "sweep.json"
 
@@ -66,16 +66,8 @@ def read_begun(folder: Path) -> Begun:
     Raises:
         ValueError: it is none of a sweep.
     """
-    described = folder / SPECIFICATION
-    try:
-        return msgspec.json.decode(described.read_bytes(), type=Begun)
-    except OSError as error:
-        raise ValueError(
-            f"{described}: cannot be read ({error.strerror}); name the folder of pieces that "
-            "`concord sweep --shard` has made"
-        ) from None
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{described}: not a sweep of ours ({error}); remove {folder}") from None
+    cure = "name the folder of pieces that `concord sweep --shard` has made"
+    return read_json(folder / SPECIFICATION, Begun, cure, "not a sweep of ours; remove its folder")
 
 
 def check_same(before: Specification, now: Specification, result: Path, cure: str) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from concord.runtime.disk import writing
+from concord.runtime.disk import read_json, writing
 
 NETWORK = "network.json"
 
@@ -31,13 +31,5 @@ def read_network(folder: Path) -> NetworkAddresses:
     Raises:
         ValueError: the folder says nothing of it.
     """
-    path = folder / NETWORK
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=NetworkAddresses)
-    except OSError as error:
-        raise ValueError(
-            f"{path}: cannot be read ({error.strerror}); name the folder of a run with --driver "
-            "processes that has not ended"
-        ) from None
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{path}: not what a launcher has written ({error})") from None
+    cure = "name the folder of a run with --driver processes that has not ended"
+    return read_json(folder / NETWORK, NetworkAddresses, cure, "not what a launcher has written")

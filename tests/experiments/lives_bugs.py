@@ -3,11 +3,9 @@
 The script prints the first seed that finds each.
 """
 
-import sys
-
 from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, run_lives
-from tests.experiments.torture_bugs import Bug, planted
+from tests.experiments.torture_bugs import Bug, print_found
 
 MOST_SEEDS = 200
 LIVES_BUGS = (
@@ -39,23 +37,10 @@ LIVES_BUGS = (
 )  # fmt: skip
 
 
-def first_found(bug: Bug, seeds: range) -> LivesOutcome | None:
-    """Return the outcome of the first seed that finds a bug."""
-    with planted(bug):
-        for seed in seeds:
-            outcome = run_lives(draw_lives(seed))
-            if outcome.broken:
-                return outcome
-    return None
-
-
-def _main() -> None:
-    for bug in LIVES_BUGS:
-        found = first_found(bug, range(1, MOST_SEEDS + 1))
-        what = f"seed {found.seed}: {found.broken}: {found.seen}" if found else "NOT FOUND"
-        sys.stdout.write(f"{bug.name}: {what}\n")
-        sys.stdout.flush()
+def run_seed(seed: int) -> LivesOutcome:
+    """Run the case of a seed."""
+    return run_lives(draw_lives(seed))
 
 
 if __name__ == "__main__":
-    _main()
+    print_found(LIVES_BUGS, range(1, MOST_SEEDS + 1), run_seed)

@@ -7,8 +7,8 @@ from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import run_lives
 from concord.experiments.simulation_testing.lives.virtual_clock import VirtualClock
 from tests.experiments.flexray_support import concord
-from tests.experiments.lives_bugs import LIVES_BUGS, MOST_SEEDS, first_found
-from tests.experiments.torture_bugs import Bug
+from tests.experiments.lives_bugs import LIVES_BUGS, MOST_SEEDS, run_seed
+from tests.experiments.torture_bugs import Bug, first_found
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ def test_a_seed_is_a_case_and_its_run():
 
 @pytest.mark.parametrize("bug", LIVES_BUGS, ids=lambda bug: bug.name)
 def test_every_planted_bug_is_found(bug: Bug, capsys: pytest.CaptureFixture[str]):
-    found = first_found(bug, range(1, MOST_SEEDS + 1))
+    found = first_found(bug, range(1, MOST_SEEDS + 1), run_seed)
     assert found is not None
     # The same case keeps its promises without the bug.
     code, out, _ = concord(capsys, "lives", "--seeds", str(found.seed), "--workers", "1")

@@ -9,11 +9,11 @@ import importlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
+from concord.experiments.simulation_testing.case_run import run_case
 from concord.experiments.simulation_testing.draw import draw_case
 
 MOST_SEEDS = 100
@@ -236,23 +236,40 @@ def planted(bug: Bug) -> Iterator[None]:
         sound.__code__ = code
 
 
-def first_found(bug: Bug, seeds: range) -> SimulationOutcome | None:
+class Outcome(Protocol):
+    """Result of the case of a seed."""
+
+    @property
+    def seed(self) -> int: ...
+    @property
+    def broken(self) -> str | None: ...
+    @property
+    def seen(self) -> str | None: ...
+
+
+def run_seed(seed: int) -> Outcome:
+    """Run the case of a seed."""
+    return run_case(draw_case(seed, {}))
+
+
+def first_found(bug: Bug, seeds: range, run: Callable[[int], Outcome] = run_seed) -> Outcome | None:
     """Return the outcome of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:
-            outcome = run_case(draw_case(seed, {}))
+            outcome = run(seed)
             if outcome.broken:
                 return outcome
     return None
 
 
-def _main() -> None:
-    for bug in BUGS:
-        found = first_found(bug, range(1, MOST_SEEDS + 1))
+def print_found(bugs: Iterable[Bug], seeds: range, run: Callable[[int], Outcome]) -> None:
+    """Print the first seed that finds each bug."""
+    for bug in bugs:
+        found = first_found(bug, seeds, run)
         what = f"seed {found.seed}: {found.broken}: {found.seen}" if found else "NOT FOUND"
         sys.stdout.write(f"{bug.name}: {what}\n")
         sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    _main()
+    print_found(BUGS, range(1, MOST_SEEDS + 1), run_seed)

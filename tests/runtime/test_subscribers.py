@@ -25,7 +25,7 @@ class Offered:
         self.answers[topic] = reply
 
     def listened(self, topic: str, told: Callable[[bool], None]) -> None:
-        """Nobody listens."""
+        """Forget the callback: this test has no subscribers."""
 
     def handed(self) -> Handover | None:
         answer = self.answers["handover"](b"")

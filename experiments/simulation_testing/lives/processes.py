@@ -1,6 +1,7 @@
 """Processes of nodes under a virtual clock: they start, compute, stand still and die."""
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -29,7 +30,7 @@ class NodeLinks(Protocol):
     def post(self, node: int, message: NodeMessage) -> None: ...
 
 
-class NodeProcess:
+class NodeProcess(ABC):
     """A process of a node: an inbox, work that takes time, and stops.
 
     `is_ready`: it has started. `config` and `state` are those of its machine.
@@ -86,9 +87,9 @@ class NodeProcess:
             if self.is_dead or self.is_stopped:
                 return
 
+    @abstractmethod
     def go_on(self) -> bool:
         """Begin the next work, and say whether there was any."""
-        raise NotImplementedError
 
     def compute(self, factor: float, work: Callable[[], None]) -> None:
         """Have work done after its processor time."""
