@@ -25,7 +25,8 @@ from concord.experiments.results.trace import Past, Trace
 from concord.experiments.results.user_files import from_copies, keep_copies
 from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
-from concord.runtime.disk import read_json, writing
+from concord.runtime.disk import writing
+from concord.runtime.json_file import read_json
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup

@@ -15,7 +15,8 @@ from concord.experiments.places import make_folder
 from concord.experiments.sweep.cells import difference
 from concord.experiments.sweep.pieces import Origin, program
 from concord.experiments.sweep.specification import Specification
-from concord.runtime.disk import read_json, writing
+from concord.runtime.disk import writing
+from concord.runtime.json_file import read_json
 
 SPECIFICATION = "sweep.json"
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import msgspec
 
-from concord.runtime.disk import read_json, writing
+from concord.runtime.disk import writing
+from concord.runtime.json_file import read_json
 
 NETWORK = "network.json"
 
