@@ -33,6 +33,7 @@ COMMANDS = {
     "new": ("new", "new"),
     "reproduce": ("reproduce", "reproduce"),
     "identify": ("identify", "identify_tyres"),
+    "track": ("targets.track", "track_swarm"),
     "sweep": ("sweep", "sweep"),
     "merge": ("sweep", "merge"),
     "compare": ("compare", "compare"),
@@ -143,7 +144,8 @@ def _nothing() -> None:
 
 def _summary(file: str, function: str) -> str:
     """Return what a command is for, from its file, which is not loaded."""
-    tree = ast.parse(Path(__file__).with_name(f"{file}.py").read_text(encoding="utf-8"))
+    path = Path(__file__).parent.joinpath(*file.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     for statement in tree.body:
         match statement:
             case ast.Assign(targets=[ast.Name("SUMMARY")], value=ast.Constant(str(summary))):

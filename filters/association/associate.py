@@ -1,0 +1,92 @@
+"""Association of tracks and detections: a table of ways from weights to probabilities."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from concord.filters.association.best_hypotheses import (
+    MISSED,
+    best_hypotheses,
+    best_hypothesis,
+)
+from concord.filters.association.clusters import Cluster, clusters
+from concord.filters.association.matchings import matching_marginals
+from concord.filters.association.weights import Association, Weights
+
+EXACT_UP_TO = 12
+"""Least number of tracks or detections of a cluster above which its sum is not exact."""
+BEST = 100
+"""Number of hypotheses that stand for all of a cluster that is too large."""
+
+
+def joint_probabilities(weights: Weights, exact_up_to: int = EXACT_UP_TO) -> Association:
+    """Joint probabilistic data association.
+
+    The sum over joint hypotheses is exact for each cluster whose tracks or detections number at
+    most `exact_up_to`. In a larger one the `BEST` hypotheses of Murty stand for all.
+
+    Source: Fortmann, Bar-Shalom and Scheffe (1983), Sonar tracking of multiple targets using joint
+    probabilistic data association, IEEE J. Oceanic Engineering 8(3).
+    """
+    miss, hit = np.ones_like(weights.miss), np.zeros_like(weights.hit)
+    approximated = 0
+    found = clusters(weights.hit > 0)
+    alone = np.array([c.tracks[0] for c in found if len(c.tracks) == 1], dtype=int)
+    # A track that shares no detection has the closed form of one target: all such at once.
+    total = weights.miss[alone] + weights.hit[alone].sum(axis=1)
+    hit[alone] = weights.hit[alone] / total[:, None]
+    for cluster in found:
+        if len(cluster.tracks) > 1:
+            marginals = _exact(weights, cluster, exact_up_to)
+            if marginals is None:
+                marginals = _by_best(weights, cluster)
+                approximated += 1
+            hit[np.ix_(*cluster)] = marginals
+    tracks = np.concatenate([c.tracks for c in found]) if found else alone
+    miss[tracks] = np.maximum(1 - hit[tracks].sum(axis=1), 0)
+    return Association(miss, hit, approximated)
+
+
+def nearest_neighbours(weights: Weights) -> Association:
+    """Global nearest neighbour: the joint hypothesis of greatest weight is taken for certain."""
+    chosen = best_hypothesis(weights)
+    hit = (chosen[:, None] == np.arange(weights.hit.shape[1])).astype(float)
+    return Association(np.where(chosen == MISSED, 1.0, 0.0), hit, 0)
+
+
+ASSOCIATIONS: dict[str, Callable[[Weights], Association]] = {
+    "jpda": joint_probabilities,
+    "nearest": nearest_neighbours,
+}
+"""The ways of association by name."""
+
+
+def _within(weights: Weights, cluster: Cluster) -> Weights:
+    """Weights of a cluster, the greatest of each track 1."""
+    miss, hit = weights.miss[cluster.tracks], weights.hit[np.ix_(*cluster)]
+    scale = np.maximum(miss, hit.max(axis=1))
+    return Weights(miss / scale, hit / scale[:, None])
+
+
+def _exact(weights: Weights, cluster: Cluster, exact_up_to: int) -> np.ndarray | None:
+    """Probabilities of a cluster; None where it is too large, or its sum is not a number."""
+    if min(map(len, cluster)) > exact_up_to:
+        return None
+    miss, hit = _within(weights, cluster)
+    clutter = np.ones(hit.shape[1])
+    # The recursion is over subsets of the smaller side.
+    if hit.shape[0] < hit.shape[1]:
+        marginals = matching_marginals(hit.T, clutter, miss).T
+    else:
+        marginals = matching_marginals(hit, miss, clutter)
+    return marginals if np.isfinite(marginals).all() else None
+
+
+def _by_best(weights: Weights, cluster: Cluster) -> np.ndarray:
+    """Probabilities of a cluster, from its best hypotheses alone."""
+    within = _within(weights, cluster)
+    chosen, log_weights = best_hypotheses(within, BEST)
+    share = np.exp(log_weights - log_weights[0])
+    share /= share.sum()
+    columns = np.arange(within.hit.shape[1])
+    return np.einsum("k,ktd->td", share, (chosen[:, :, None] == columns).astype(float))

@@ -1,0 +1,1 @@
+"""Several targets: tracks with existence probabilities, and scores of sets of tracks."""

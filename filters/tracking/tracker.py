@@ -1,0 +1,245 @@
+"""A tracker of several targets: predict, associate each scan, begin and end tracks.
+
+Each track has the probability that its target exists (joint integrated probabilistic data
+association, Musicki and Evans 2004, IEEE Trans. AES 40(3)). A sensor that cannot see a track has
+detection probability 0 there, and leaves its existence as it is. Functions on values, without
+memory: equal tracks and equal detections give equal tracks, bit for bit. The detections of a scan
+are put in the order of their values first, so the order of their arrival has no effect.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from concord.filters import ukf
+from concord.filters.association.weights import Association, Weights, association_weights
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import (
+    cholesky,
+    inverse_of_triangle,
+    inverse_spd,
+    multiply,
+    symmetrise,
+    times_transposed,
+)
+from concord.filters.moments import Model
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.tracking.tracks import Tracks, joined_tracks
+
+
+class ScanSensor(Protocol):
+    """A sensor that returns any number of detections (D, m) without names."""
+
+    @property
+    def noise_cov(self) -> np.ndarray:
+        """Covariance (m, m) of a detection."""
+        ...
+
+    def measure(self, state: np.ndarray) -> np.ndarray:
+        """Return the detections (..., m) of states (..., n), without noise."""
+        ...
+
+    def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """a - b (..., m), angles within half a turn."""
+        ...
+
+    def detection_probability(self, state: np.ndarray) -> np.ndarray:
+        """Return that of states (..., n): (...); 0 outside the field of view."""
+        ...
+
+    def clutter_density(self, detections: np.ndarray) -> np.ndarray:
+        """Return the expected clutter (D,) per unit of the measurement, above 0."""
+        ...
+
+    def begun(self, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return means (D, n) and covariances (D, n, n) of tracks that begin with these."""
+        ...
+
+
+class TrackerSettings(NamedTuple):
+    """What a tracker believes of targets, and when it says so.
+
+    Attributes:
+        transition: states (..., n) -> (..., n), one step later.
+        process_noise_cov: (n, n), what the step adds.
+        points: sigma points for n states.
+        associate: weights -> probabilities (`filters.association.associate.ASSOCIATIONS`).
+        gate_probability: probability that the detection of a target is within its gate.
+        survival: probability that a target is still there one step later.
+        birth: existence of a track that begins with a detection that no track claims.
+        confirm_at: existence from which a track is reported.
+        end_below: existence below which a track ends.
+        position: entries of the state that are a position.
+        lost_above: root mean square error of the position, as believed, above which a track ends:
+            no sensor has seen it for long.
+        same_within: squared Mahalanobis distance of two states within which they are one target;
+            the younger track ends.
+    """
+
+    transition: Model
+    process_noise_cov: np.ndarray
+    points: SigmaPointRule
+    associate: Callable[[Weights], Association]
+    gate_probability: float = 0.999
+    survival: float = 0.99
+    birth: float = 0.02
+    confirm_at: float = 0.95
+    end_below: float = 0.002
+    position: tuple[int, ...] = (0, 2)
+    lost_above: float = 100.0
+    same_within: float = 2.0
+
+
+class Scan(NamedTuple):
+    """Detections (D, m) that one sensor took in one step; `number` is that of the sensor."""
+
+    number: int
+    sensor: ScanSensor
+    detections: np.ndarray
+
+
+class Tracked(NamedTuple):
+    """Tracks after a step, and how many clusters were beyond the bound of the exact sum."""
+
+    tracks: Tracks
+    approximated: int
+
+
+def track(
+    tracks: Tracks, scans: Sequence[Scan], settings: TrackerSettings, step: int
+) -> Tracked:
+    """The tracks one step later, given the scans of this step in any order."""
+    belief = tracks.belief
+    if len(tracks.existence):
+        belief = ukf.predict(
+            belief, settings.transition, settings.process_noise_cov, settings.points
+        )
+    tracks = tracks._replace(belief=belief, existence=settings.survival * tracks.existence)
+    places = list(settings.position)
+    tracks = tracks.take(belief.cov[:, places, places].sum(axis=1) <= settings.lost_above**2)
+    approximated = 0
+    for scan in sorted(scans, key=lambda scan: scan.number):
+        ordered = scan._replace(detections=in_order(scan.detections))
+        tracks, clusters = _scanned(tracks, ordered, settings, step)
+        approximated += clusters
+    tracks = _apart(tracks, settings.same_within)
+    reached = tracks.existence >= settings.confirm_at
+    return Tracked(tracks._replace(confirmed=tracks.confirmed | reached), approximated)
+
+
+def in_order(detections: np.ndarray) -> np.ndarray:
+    """Return detections (D, m) in the order of their values, the first entry first."""
+    # The two zeros of a float are equal in the order, but not in their bits.
+    detections = detections + 0.0
+    return detections[np.lexsort(detections.T[::-1])]
+
+
+def _scanned(
+    tracks: Tracks, scan: Scan, settings: TrackerSettings, step: int
+) -> tuple[Tracks, int]:
+    """Return the tracks after one scan, and its clusters beyond the bound."""
+    seen = np.zeros(len(tracks.existence), dtype=bool)
+    unclaimed, approximated = np.ones(len(scan.detections)), 0
+    if len(seen):
+        probability = _detection_probability(tracks.belief, scan.sensor, settings.points)
+        seen = probability > 0
+    if seen.any():
+        within = tracks.take(seen)
+        updated, association = _updated(within, scan, settings, probability[seen])
+        tracks = _replaced(tracks, seen, updated)
+        unclaimed = 1 - association.hit.sum(axis=0)
+        approximated = association.approximated
+        tracks = tracks.take(tracks.existence >= settings.end_below)
+    existence = settings.birth * unclaimed
+    begins = existence > settings.end_below
+    if begins.any():
+        places = np.flatnonzero(begins)
+        younger = Tracks(
+            Gaussian(*scan.sensor.begun(scan.detections[begins])),
+            existence[begins],
+            np.stack(np.broadcast_arrays(step, scan.number, places), axis=-1),
+            np.zeros(len(places), dtype=bool),
+        )
+        tracks = joined_tracks(tracks, younger)
+    return tracks, approximated
+
+
+def _detection_probability(
+    belief: Gaussian, sensor: ScanSensor, points: SigmaPointRule
+) -> np.ndarray:
+    """Mean detection probability (T,) of beliefs: a track at the edge of a field is half in it."""
+    values = sensor.detection_probability(sigma_points(belief, points))
+    return np.clip(np.einsum("s,st->t", points.mean_weights, values), 0, 1)
+
+
+def _updated(
+    tracks: Tracks, scan: Scan, settings: TrackerSettings, probability: np.ndarray
+) -> tuple[Tracks, Association]:
+    """Return the tracks given the scan, and which detections belong to which."""
+    sensor, belief, prior = scan.sensor, tracks.belief, tracks.existence
+    size, noise_cov = scan.detections.shape[-1], sensor.noise_cov
+    predicted, cov, cross_cov = ukf.measured(
+        belief, sensor.measure, size, settings.points, sensor.residual
+    )
+    whitener = inverse_of_triangle(cholesky(cov + noise_cov))
+    innovation = sensor.residual(scan.detections, predicted[:, None, :])
+    whitened = np.einsum("tij,tdj->tdi", whitener, innovation)
+    gate_probability = settings.gate_probability
+    weights = association_weights(
+        whitened,
+        whitener,
+        probability,
+        prior,
+        sensor.clutter_density(scan.detections),
+        gate_probability,
+        2 * gammaincinv(size / 2, gate_probability),
+    )
+    association = settings.associate(weights)
+    # A track without a detection may also be one whose target does not exist.
+    undetected = prior * (1 - probability * gate_probability) / weights.miss
+    existence = association.miss * undetected + association.hit.sum(axis=1)
+    share = association.hit / np.maximum(existence, np.finfo(float).tiny)[:, None]
+    gain = times_transposed(cross_cov, whitener)
+    # The mean and covariance of the mixture of all choices, in whitened innovations.
+    mean = np.einsum("td,tdi->ti", share, whitened)
+    spread = np.einsum("td,tdi,tdj->tij", share, whitened, whitened)
+    spread -= mean[:, :, None] * mean[:, None, :]
+    spread -= share.sum(axis=1)[:, None, None] * np.eye(size)
+    after = Gaussian(
+        belief.mean + multiply(gain, mean),
+        symmetrise(belief.cov + gain @ spread @ gain.mT),
+    )
+    return tracks._replace(belief=after, existence=existence), association
+
+
+def _replaced(tracks: Tracks, seen: np.ndarray, updated: Tracks) -> Tracks:
+    mean, cov, existence = (
+        tracks.belief.mean.copy(),
+        tracks.belief.cov.copy(),
+        tracks.existence.copy(),
+    )
+    mean[seen], cov[seen], existence[seen] = *updated.belief, updated.existence
+    return tracks._replace(belief=Gaussian(mean, cov), existence=existence)
+
+
+def _apart(tracks: Tracks, same_within: float) -> Tracks:
+    """Return the tracks without those that stand for the target of an older one."""
+    count = len(tracks.existence)
+    if count < 2:
+        return tracks
+    mean, cov = tracks.belief
+    older, younger = np.triu_indices(count, 1)
+    # Tracks far apart need no matrix.
+    away = mean[older] - mean[younger]
+    both = cov[older] + cov[younger]
+    scale = np.trace(both, axis1=-2, axis2=-1)
+    near = np.vecdot(away, away) <= same_within * scale
+    older, younger, away, both = older[near], younger[near], away[near], both[near]
+    distance = np.vecdot(away, multiply(inverse_spd(both), away))
+    kept = np.ones(count, dtype=bool)
+    for first, second in zip(older[distance <= same_within], younger[distance <= same_within], strict=True):
+        if kept[first]:
+            kept[second] = False
+    return tracks.take(kept)

@@ -1,0 +1,68 @@
+"""Tracks: beliefs of targets, each with the probability that its target exists, and an identity."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.filters.gaussian import Gaussian
+
+IDENTITY = 3
+"""Length of an identity: step, sensor and place in the scan of the detection that began it."""
+
+
+class Tracks(NamedTuple):
+    """T tracks in the order in which they began.
+
+    Attributes:
+        belief: mean (T, n), cov (T, n, n), given that the target exists.
+        existence: (T,), probability that it does.
+        identity: (T, 3) integers. Equal records give equal identities at every node.
+        confirmed: (T,), whether the existence has ever reached the threshold of confirmation.
+    """
+
+    belief: Gaussian
+    existence: np.ndarray
+    identity: np.ndarray
+    confirmed: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> "Tracks":
+        """Return the tracks of an index or a mask."""
+        mean, cov = self.belief
+        return Tracks(
+            Gaussian(mean[chosen], cov[chosen]),
+            self.existence[chosen],
+            self.identity[chosen],
+            self.confirmed[chosen],
+        )
+
+
+REPORTED_FROM = 0.5
+"""Existence from which a confirmed track stands for a target."""
+
+
+def reported(tracks: Tracks) -> Tracks:
+    """Return the tracks that a user sees."""
+    return tracks.take(tracks.confirmed & (tracks.existence >= REPORTED_FROM))
+
+
+def no_tracks(states: int) -> Tracks:
+    """Return no track of a state of this size."""
+    return Tracks(
+        Gaussian(np.empty((0, states)), np.empty((0, states, states))),
+        np.empty(0),
+        np.empty((0, IDENTITY), dtype=int),
+        np.empty(0, dtype=bool),
+    )
+
+
+def joined_tracks(older: Tracks, younger: Tracks) -> Tracks:
+    """Return the tracks of both, the older ones first."""
+    return Tracks(
+        Gaussian(
+            np.concatenate((older.belief.mean, younger.belief.mean)),
+            np.concatenate((older.belief.cov, younger.belief.cov)),
+        ),
+        np.concatenate((older.existence, younger.existence)),
+        np.concatenate((older.identity, younger.identity)),
+        np.concatenate((older.confirmed, younger.confirmed)),
+    )

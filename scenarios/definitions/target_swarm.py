@@ -1,0 +1,137 @@
+"""`target-swarm`: several targets that appear, turn and leave, under sensors with misses and clutter.
+
+The ground, the sensors and the radio are those of `target-tracking`. Detections carry no target.
+"""
+
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+
+from concord.filters.association.associate import ASSOCIATIONS
+from concord.filters.sigma_points import cubature
+from concord.filters.tracking.tracker import Scan, TrackerSettings
+from concord.plants.motion import ConstantVelocity
+from concord.plants.placement import place_sensors
+from concord.plants.range_bearing import RangeBearing
+from concord.plants.scanning import FALSE_ALARM, MOST_CLUTTER, ScanningSensor
+from concord.plants.swarm import Swarm
+from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
+from concord.scenarios.scenario import require
+from concord.scenarios.streams import generator
+from concord.topology.geometric_graphs import geometric
+from concord.topology.names import unknown_name
+
+STATES = 4
+NEW_TARGETS = 0.1
+"""Expected number of new targets in a scan, as a tracker assumes it."""
+ACCELERATION_DENSITY_M2_S3 = 1.0
+"""So much the tracker allows for turns: 0.1 rad/s at 10 m/s is an acceleration of 1 m/s²."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetSwarm:
+    """The simulated case. Equal values give equal numbers."""
+
+    nodes: int = 20
+    """Number of sensor nodes."""
+    targets: int = 5
+    """Number of targets that are there at some time."""
+    detection: float = 0.9
+    """Detection probability at 0.71 of the field of view; nearer targets have more."""
+    clutter: float = 5.0
+    """Expected number of clutter detections in a scan."""
+    steps: int = 100
+    """Sampling instants to simulate, one second each."""
+    association: str = "jpda"
+    """How detections are assigned: jpda or nearest."""
+    rounds: int = 3
+    """Rounds of flooding in a step."""
+    loss: float = 0.0
+    """Probability that a node does not hear a neighbour in a round."""
+    window_steps: int = 8
+    """Steps after which a scan that has not come is left out."""
+    placement: int = 0
+    """Which drawing of the nodes' places."""
+    seed: int = 1
+    """Seed of everything random."""
+    run: int = 0
+    """Number of the run in a Monte Carlo under one seed."""
+
+    def check(self) -> None:
+        """Refuse what no swarm can be.
+
+        Raises:
+            ValueError: naming the option, its value and the rule.
+        """
+        for name, least in (
+            ("nodes", 1), ("targets", 1), ("steps", 1), ("rounds", 1), ("window_steps", 1),
+            ("placement", 0), ("seed", 0), ("run", 0),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            require(value >= least, name, value, f"{least} or more")
+        require(0 <= self.loss < 1, "loss", self.loss, "0 or more, and below 1")
+        require(
+            FALSE_ALARM < self.detection < 1,
+            "detection",
+            self.detection,
+            f"above {FALSE_ALARM:g}, the probability of a false alarm, and below 1; a sensor "
+            "that misses nothing has no tracker to test",
+        )
+        require(
+            0 <= self.clutter <= MOST_CLUTTER,
+            "clutter",
+            self.clutter,
+            f"0 to {MOST_CLUTTER} detections in a scan",
+        )
+        if self.association not in ASSOCIATIONS:
+            raise unknown_name("association", self.association, ASSOCIATIONS)
+        # Placing the nodes is what else can fail, and says why.
+        self.positions()
+
+    def positions(self) -> np.ndarray:
+        """Places (nodes, 2) of the nodes in m."""
+        return _positions(self.nodes, self.placement)
+
+    def neighbours(self) -> np.ndarray:
+        """Whether a node hears another: (nodes, nodes)."""
+        return geometric(self.positions(), RADIO_RANGE_M).toarray()
+
+    def truth(self) -> np.ndarray:
+        """States (steps, targets, 4) of the targets, NaN where one is not there."""
+        return Swarm(self.targets).truth(partial(generator, self), self.steps)
+
+    def scans(self, truth: np.ndarray) -> list[list[Scan]]:
+        """Return the scans of all nodes in each step."""
+        sensors = [
+            ScanningSensor(RangeBearing(place), self.detection, self.clutter)
+            for place in self.positions()
+        ]
+        streams = [generator(self, "scan", node) for node in range(self.nodes)]
+        return [
+            [
+                Scan(node, sensor, sensor.scan(states, stream))
+                for node, (sensor, stream) in enumerate(zip(sensors, streams, strict=True))
+            ]
+            for states in truth
+        ]
+
+    def losses(self) -> np.random.Generator:
+        """Return the stream of what nodes do not hear."""
+        return generator(self, "loss", 0)
+
+    def settings(self) -> TrackerSettings:
+        """What a tracker believes of the targets: constant velocity, disturbed by their turns."""
+        motion = ConstantVelocity(acceleration_density_m2_s3=ACCELERATION_DENSITY_M2_S3)
+        return TrackerSettings(
+            lambda states: motion.transition(states, None, 0),
+            motion.process_noise_cov(0),
+            cubature(STATES),
+            ASSOCIATIONS[self.association],
+            birth=NEW_TARGETS / (NEW_TARGETS + self.clutter),
+        )
+
+
+@cache
+def _positions(nodes: int, placement: int) -> np.ndarray:
+    return place_sensors(nodes, radio_range_m=RADIO_RANGE_M, drawing=placement)
