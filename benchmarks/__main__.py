@@ -18,6 +18,7 @@ BENCHMARKS = {
     "fusion": "fusion",
     "monte-carlo": "monte_carlo",
     "scale": "scale",
+    "association": "association",
     "share": "share",
     "node": "node_loop",
     "launch": "launch",

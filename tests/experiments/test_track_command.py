@@ -1,0 +1,102 @@
+"""Test `concord track` and the run behind it."""
+
+import dataclasses
+import json
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from concord.experiments.tracking.swarm_run import run_swarm
+from concord.experiments.tracking.track_log import TrackLog
+from concord.filters.tracking.tracks import no_tracks
+from concord.scenarios.definitions.target_swarm import TargetSwarm
+from tests.experiments.flexray_support import concord, refused
+from tests.filters.tracking.position_sensor import tracks_at
+
+SMALL = TargetSwarm(nodes=8, targets=4, steps=30, clutter=3)
+SMALL_WORDS = ("--nodes", "8", "--targets", "4", "--steps", "30", "--clutter", "3")
+
+
+def test_the_command_prints_what_the_run_gives(capsys: pytest.CaptureFixture[str]):
+    printed = json.loads(concord(capsys, "track", *SMALL_WORDS, "--json").out)
+    assert printed["runs"] == [msgspec.to_builtins(run_swarm(SMALL))]
+    assert printed["options"] == dataclasses.asdict(SMALL)
+    table = concord(capsys, "track", *SMALL_WORDS).out
+    assert f"{printed['runs'][0]['centre']['gospa_m']:.3g}" in table
+    assert "8 nodes" in table and "GOSPA of the nodes over the centre's: 1." in table
+
+
+def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFixture[str]):
+    words = ("track", *SMALL_WORDS, "--workers", "1", "--json")
+    both = json.loads(concord(capsys, *words, "--runs", "2").out)["runs"]
+    second = json.loads(concord(capsys, *words, "--run", "1").out)["runs"]
+    assert both[1:] == second and both[0] != both[1]
+    assert "±" in concord(capsys, "track", *SMALL_WORDS, "--workers", "1", "--runs", "2").out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--detection", "1"), "--detection 1.0: must be above 0.001"),
+        (("--clutter", "-1"), "--clutter -1.0: must be 0 to 1000"),
+        (("--loss", "1"), "--loss 1.0: must be 0 or more, and below 1"),
+        (("--targets", "0"), "--targets 0: must be 1 or more"),
+        (("--runs", "0"), "--runs 0: must be 1 or more"),
+        (("--association", "nearst"), "unknown association 'nearst': did you mean 'nearest'"),
+        (("--nodes", "2", "--placement", "-1"), "--placement -1: must be 0 or more"),
+    ],
+)
+def test_bad_input_is_refused(
+    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+):
+    assert says in refused(concord(capsys, "track", *words))
+
+
+def test_nodes_with_all_scans_are_as_good_as_the_centre_to_the_bit():
+    run = run_swarm(SMALL)
+    assert run.held == 1 and run.alike == 1
+    assert run.nodes.gospa_m == pytest.approx(run.centre.gospa_m, rel=1e-12)
+    assert run.nodes.missed < 2 and run.nodes.false < 1
+
+
+def test_few_rounds_and_losses_cost_the_nodes_but_not_the_centre():
+    full = run_swarm(SMALL)
+    lossy = run_swarm(dataclasses.replace(SMALL, rounds=1, loss=0.5))
+    assert lossy.centre == full.centre
+    assert lossy.held < 0.9 and lossy.alike < 0.5
+    assert lossy.nodes.gospa_m > 1.05 * lossy.centre.gospa_m
+
+
+def test_nearest_neighbours_are_another_tracker():
+    nearest = run_swarm(dataclasses.replace(SMALL, association="nearest"))
+    assert nearest.centre != run_swarm(SMALL).centre
+    assert nearest.centre.missed < 2
+
+
+def test_a_single_node_is_a_network():
+    run = run_swarm(dataclasses.replace(SMALL, nodes=1, steps=5))
+    assert run.alike == run.held == 1
+
+
+def test_scores_of_a_run_by_hand():
+    log = TrackLog()
+    truth = np.full((3, 2, 4), np.nan)
+    truth[0, 0] = truth[1, 0] = truth[2, 0] = [0, 0, 0, 0]
+    truth[1, 1] = truth[2, 1] = [200, 0, 0, 0]
+    log.add(truth[0], no_tracks(4))  # missed
+    log.add(truth[1], tracks_at(np.array([[3.0, 0, 4, 0], [500, 0, 0, 0]])))  # missed and false
+    log.add(truth[2], tracks_at(np.array([[210.0, 0, 0, 0], [0, 0, 0, 0]])))  # switched
+    scores = log.scores()
+    assert scores.missed == pytest.approx(2 / 3) and scores.false == pytest.approx(1 / 3)
+    assert scores.localisation_m == pytest.approx(math.sqrt((25 + 100) / 3))
+    penalty = 50**2 / 2
+    distances = [math.sqrt(penalty), math.sqrt(25 + 2 * penalty), 10]
+    assert scores.gospa_m == pytest.approx(np.mean(distances))
+    assert scores.ospa_m == pytest.approx(
+        np.mean([50, math.sqrt((25 + 2500) / 2), math.sqrt(100 / 2)])
+    )
+    assert scores.cardinality_error == pytest.approx(1 / 3)
+    assert scores.identity_switches == 1
+    assert scores.steps_to_confirm == 1
