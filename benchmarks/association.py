@@ -86,9 +86,7 @@ def ours(tracks: Tracks, scans: Sequence[np.ndarray]) -> list[np.ndarray]:
         same_within=-1.0,
     )
     sensor = PositionScans()
-    return [
-        track(tracks, [Scan(0, sensor, one)], settings, 1).tracks.belief.mean for one in scans
-    ]
+    return [track(tracks, [Scan(0, sensor, one)], settings, 1).tracks.belief.mean for one in scans]
 
 
 def stone_soup(associator_name: str, given: Tracks, scans: Sequence[np.ndarray]) -> Callable:
@@ -108,9 +106,7 @@ def stone_soup(associator_name: str, given: Tracks, scans: Sequence[np.ndarray])
     from stonesoup.types.track import Track
     from stonesoup.updater.kalman import KalmanUpdater
 
-    model = CombinedLinearGaussianTransitionModel(
-        [Straight(MOTION.acceleration_density_m2_s3)] * 2
-    )
+    model = CombinedLinearGaussianTransitionModel([Straight(MOTION.acceleration_density_m2_s3)] * 2)
     measurement = LinearGaussian(4, (0, 2), STD_M**2 * np.eye(2))
     updater = KalmanUpdater(measurement)
     hypothesiser = PDAHypothesiser(
@@ -124,7 +120,7 @@ def stone_soup(associator_name: str, given: Tracks, scans: Sequence[np.ndarray])
     when = START + timedelta(seconds=1)
 
     def merged(hypotheses: Sequence) -> np.ndarray:
-        states = [updater.update(one) if one else one.prediction for one in hypotheses]
+        states: list = [updater.update(one) if one else one.prediction for one in hypotheses]
         mean, _ = gm_reduce_single(
             StateVectors([state.state_vector for state in states]),
             np.stack([state.covar for state in states], axis=2),

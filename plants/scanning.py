@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -24,10 +23,11 @@ target."""
 class ScanningSensor:
     """One node's sensor: detections (D, 2) of range in m and bearing in rad.
 
-    The detection probability of a Swerling I target falls with range r as P^(1 / (1 + S)), where
-    the ratio of echo and noise S falls as r^-4 (Richards 2014, Fundamentals of radar signal
-    processing, section 6.3). It is `detection` at 0.71 of the field of view, and 0 beyond the
-    field. Clutter is Poisson and uniform over the field.
+    The detection probability of a Swerling I target is P^(1 / (1 + S)), where P is that of a false
+    alarm. S, the ratio of echo and noise, falls with range r as r^-4. Source: Richards (2014),
+    Fundamentals of radar signal processing, section 6.3. The detection probability is `detection`
+    at 0.71 of the field of view, and 0 beyond the field. Clutter is Poisson and uniform over the
+    field.
 
     Raises:
         ValueError: a detection probability or clutter that no sensor has.
@@ -50,7 +50,7 @@ class ScanningSensor:
                 f"clutter {self.clutter:g}: must be 0 to {MOST_CLUTTER} detections in a scan"
             )
 
-    @cached_property
+    @property
     def noise_cov(self) -> np.ndarray:
         """Covariance (2, 2) of a detection."""
         return np.diag(self.sensor.noise_std**2)
@@ -101,7 +101,7 @@ class ScanningSensor:
         Each target takes three numbers of the generator, whether it is there or not; the order of
         the detections is random.
         """
-        present = np.isfinite(states).all(axis=-1)
+        present = np.asarray(np.isfinite(states).all(axis=-1))
         chance, noise = generator.random(len(states)), generator.standard_normal((len(states), 2))
         there = np.where(present[:, None], states, 0.0)
         detected = present & (chance < self.detection_probability(there))

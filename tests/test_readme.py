@@ -20,6 +20,7 @@ _NAMES = (
     "buses",
     "measurement_bus",
     "labelled",
+    "targets",
     "control",
     "faults",
     "realtime",

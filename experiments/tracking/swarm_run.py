@@ -70,13 +70,14 @@ def _network(swarm: TargetSwarm, scans: Sequence[Sequence[Scan]], settings: Trac
     def after(before: Tracked, step: int, held: bytes) -> Tracked:
         taken = np.frombuffer(held, dtype=bool)
         return track(
-            before.tracks, [scans[step][node] for node in np.flatnonzero(taken)], settings, step
+            before.tracks,
+            [scans[step][node] for node in np.flatnonzero(taken).tolist()],
+            settings,
+            step,
         )
 
     neighbours, losses = swarm.neighbours(), swarm.losses()
-    window = WindowTracks(
-        Tracked(no_tracks(STATES), 0), swarm.nodes, swarm.window_steps, after
-    )
+    window = WindowTracks(Tracked(no_tracks(STATES), 0), swarm.nodes, swarm.window_steps, after)
     held = np.zeros((0, swarm.nodes, swarm.nodes), dtype=bool)
     for step in range(swarm.steps):
         newest = np.eye(swarm.nodes, dtype=bool)[None]

@@ -9,7 +9,7 @@ from concord.filters.association.best_hypotheses import (
     best_hypotheses,
     best_hypothesis,
 )
-from concord.filters.association.clusters import Cluster, clusters
+from concord.filters.association.clusters import TrackCluster, clusters
 from concord.filters.association.matchings import matching_marginals
 from concord.filters.association.weights import Association, Weights
 
@@ -61,14 +61,14 @@ ASSOCIATIONS: dict[str, Callable[[Weights], Association]] = {
 """The ways of association by name."""
 
 
-def _within(weights: Weights, cluster: Cluster) -> Weights:
+def _within(weights: Weights, cluster: TrackCluster) -> Weights:
     """Weights of a cluster, the greatest of each track 1."""
     miss, hit = weights.miss[cluster.tracks], weights.hit[np.ix_(*cluster)]
     scale = np.maximum(miss, hit.max(axis=1))
     return Weights(miss / scale, hit / scale[:, None])
 
 
-def _exact(weights: Weights, cluster: Cluster, exact_up_to: int) -> np.ndarray | None:
+def _exact(weights: Weights, cluster: TrackCluster, exact_up_to: int) -> np.ndarray | None:
     """Probabilities of a cluster; None where it is too large, or its sum is not a number."""
     if min(map(len, cluster)) > exact_up_to:
         return None
@@ -82,7 +82,7 @@ def _exact(weights: Weights, cluster: Cluster, exact_up_to: int) -> np.ndarray |
     return marginals if np.isfinite(marginals).all() else None
 
 
-def _by_best(weights: Weights, cluster: Cluster) -> np.ndarray:
+def _by_best(weights: Weights, cluster: TrackCluster) -> np.ndarray:
     """Probabilities of a cluster, from its best hypotheses alone."""
     within = _within(weights, cluster)
     chosen, log_weights = best_hypotheses(within, BEST)

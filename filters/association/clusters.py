@@ -5,20 +5,20 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Cluster(NamedTuple):
+class TrackCluster(NamedTuple):
     """Tracks and detections that no possible pair joins with others; indices in order."""
 
     tracks: np.ndarray
     detections: np.ndarray
 
 
-def clusters(possible: np.ndarray) -> list[Cluster]:
+def clusters(possible: np.ndarray) -> list[TrackCluster]:
     """Clusters of the pairs (T, D) that are possible, in the order of their first track.
 
     A track without a possible detection, and a detection without a possible track, is in none.
     """
-    found: list[Cluster] = []
-    left = possible.any(axis=1)
+    found: list[TrackCluster] = []
+    left = np.asarray(possible.any(axis=1))
     for first in np.flatnonzero(left):
         if not left[first]:
             continue
@@ -30,5 +30,5 @@ def clusters(possible: np.ndarray) -> list[Cluster]:
                 break
             detections = reached
         left &= ~tracks
-        found.append(Cluster(np.flatnonzero(tracks), np.flatnonzero(detections)))
+        found.append(TrackCluster(np.flatnonzero(tracks), np.flatnonzero(detections)))
     return found

@@ -59,7 +59,7 @@ class ScanSensor(Protocol):
 
 
 class TrackerSettings(NamedTuple):
-    """What a tracker believes of targets, and when it says so.
+    """Models and thresholds of a tracker.
 
     Attributes:
         transition: states (..., n) -> (..., n), one step later.
@@ -107,9 +107,7 @@ class Tracked(NamedTuple):
     approximated: int
 
 
-def track(
-    tracks: Tracks, scans: Sequence[Scan], settings: TrackerSettings, step: int
-) -> Tracked:
+def track(tracks: Tracks, scans: Sequence[Scan], settings: TrackerSettings, step: int) -> Tracked:
     """The tracks one step later, given the scans of this step in any order."""
     belief = tracks.belief
     if len(tracks.existence):
@@ -118,7 +116,7 @@ def track(
         )
     tracks = tracks._replace(belief=belief, existence=settings.survival * tracks.existence)
     places = list(settings.position)
-    tracks = tracks.take(belief.cov[:, places, places].sum(axis=1) <= settings.lost_above**2)
+    tracks = tracks.chosen(belief.cov[:, places, places].sum(axis=1) <= settings.lost_above**2)
     approximated = 0
     for scan in sorted(scans, key=lambda scan: scan.number):
         ordered = scan._replace(detections=in_order(scan.detections))
@@ -140,18 +138,16 @@ def _scanned(
     tracks: Tracks, scan: Scan, settings: TrackerSettings, step: int
 ) -> tuple[Tracks, int]:
     """Return the tracks after one scan, and its clusters beyond the bound."""
-    seen = np.zeros(len(tracks.existence), dtype=bool)
     unclaimed, approximated = np.ones(len(scan.detections)), 0
-    if len(seen):
-        probability = _detection_probability(tracks.belief, scan.sensor, settings.points)
-        seen = probability > 0
+    probability = _detection_probability(tracks.belief, scan.sensor, settings.points)
+    seen = probability > 0
     if seen.any():
-        within = tracks.take(seen)
+        within = tracks.chosen(seen)
         updated, association = _updated(within, scan, settings, probability[seen])
         tracks = _replaced(tracks, seen, updated)
         unclaimed = 1 - association.hit.sum(axis=0)
         approximated = association.approximated
-        tracks = tracks.take(tracks.existence >= settings.end_below)
+        tracks = tracks.chosen(tracks.existence >= settings.end_below)
     existence = settings.birth * unclaimed
     begins = existence > settings.end_below
     if begins.any():
@@ -239,7 +235,9 @@ def _apart(tracks: Tracks, same_within: float) -> Tracks:
     older, younger, away, both = older[near], younger[near], away[near], both[near]
     distance = np.vecdot(away, multiply(inverse_spd(both), away))
     kept = np.ones(count, dtype=bool)
-    for first, second in zip(older[distance <= same_within], younger[distance <= same_within], strict=True):
+    for first, second in zip(
+        older[distance <= same_within], younger[distance <= same_within], strict=True
+    ):
         if kept[first]:
             kept[second] = False
-    return tracks.take(kept)
+    return tracks.chosen(kept)

@@ -25,14 +25,14 @@ class Tracks(NamedTuple):
     identity: np.ndarray
     confirmed: np.ndarray
 
-    def take(self, chosen: np.ndarray) -> "Tracks":
+    def chosen(self, which: np.ndarray) -> "Tracks":
         """Return the tracks of an index or a mask."""
         mean, cov = self.belief
         return Tracks(
-            Gaussian(mean[chosen], cov[chosen]),
-            self.existence[chosen],
-            self.identity[chosen],
-            self.confirmed[chosen],
+            Gaussian(mean[which], cov[which]),
+            self.existence[which],
+            self.identity[which],
+            self.confirmed[which],
         )
 
 
@@ -42,7 +42,7 @@ REPORTED_FROM = 0.5
 
 def reported(tracks: Tracks) -> Tracks:
     """Return the tracks that a user sees."""
-    return tracks.take(tracks.confirmed & (tracks.existence >= REPORTED_FROM))
+    return tracks.chosen(tracks.confirmed & (tracks.existence >= REPORTED_FROM))
 
 
 def no_tracks(states: int) -> Tracks:

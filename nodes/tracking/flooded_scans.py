@@ -31,7 +31,11 @@ class WindowTracks:
     """
 
     def __init__(
-        self, start: Tracked, nodes: int, window: int, track: Callable[[Tracked, int, bytes], Tracked]
+        self,
+        start: Tracked,
+        nodes: int,
+        window: int,
+        track: Callable[[Tracked, int, bytes], Tracked],
     ) -> None:
         """Begin with equal tracks at all nodes.
 

@@ -1,4 +1,4 @@
-"""`target-swarm`: several targets that appear, turn and leave, under sensors with misses and clutter.
+"""`target-swarm`: several targets that come and go, under sensors with misses and clutter.
 
 The ground, the sensors and the radio are those of `target-tracking`. Detections carry no target.
 """
@@ -121,7 +121,7 @@ class TargetSwarm:
         return generator(self, "loss", 0)
 
     def settings(self) -> TrackerSettings:
-        """What a tracker believes of the targets: constant velocity, disturbed by their turns."""
+        """Return the settings of a tracker: constant velocity, disturbed by the targets' turns."""
         motion = ConstantVelocity(acceleration_density_m2_s3=ACCELERATION_DENSITY_M2_S3)
         return TrackerSettings(
             lambda states: motion.transition(states, None, 0),

@@ -65,6 +65,7 @@ def test_equal_scans_give_equal_tracks_however_late_they_come(seed: int):
     nodes = [WindowTracks(START, 1, WINDOW, after) for _ in range(NODES)]
     delays = rng.integers(0, WINDOW, (STEPS, NODES, NODES)) * ~np.eye(NODES, dtype=bool)
     reached: list[Tracked] = [START] * NODES
+    held = np.zeros((1, NODES, NODES), dtype=bool)
     for step in range(STEPS):
         first = max(0, step - WINDOW + 1)
         ages = (step - np.arange(first, step + 1))[:, None, None]

@@ -1,4 +1,4 @@
-"""Test the scanning sensor and the swarm: their statistics, and the beliefs that begin with them."""
+"""Test the scanning sensor and the swarm: their statistics, and the tracks that begin."""
 
 import math
 
@@ -93,7 +93,7 @@ def generators(seed: int):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 120))
 def test_targets_appear_move_and_disappear(seed: int, targets: int, steps: int):
     truth = Swarm(targets).truth(generators(seed), steps)
-    there = np.isfinite(truth).all(axis=-1)
+    there = np.asarray(np.isfinite(truth).all(axis=-1))
     assert truth.shape == (steps, targets, 4) and there.any(axis=0).all()
     assert there[0, ::2].all()
     # Each target is there for one stretch of steps.

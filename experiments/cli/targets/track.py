@@ -1,4 +1,4 @@
-"""`concord track`: several targets, detections without names, tracks at a centre and at the nodes."""
+"""`concord track`: several targets from detections without names, at a centre and at nodes."""
 
 import dataclasses
 import sys
@@ -92,8 +92,8 @@ def _show(swarm: TargetSwarm, runs: Sequence[SwarmRun]) -> None:
     held, alike = (np.mean([getattr(run, name) for run in runs]) for name in ("held", "alike"))
     sys.stdout.write(
         f"GOSPA of the nodes over the centre's: {_text(ratio_t(nodes**2, centre**2))}.\n"
-        f"After a step a node holds {held:.1%} of the scans of the last {swarm.window_steps} steps; "
-        f"{alike:.1%} of the pairs of nodes have equal tracks, bit for bit.\n"
+        f"After a step a node holds {held:.1%} of the scans of the last {swarm.window_steps} "
+        f"steps; {alike:.1%} of the pairs of nodes have equal tracks, bit for bit.\n"
     )
     approximated = sum(run.approximated for run in runs)
     if approximated:

@@ -59,7 +59,9 @@ def tracks_at(mean: np.ndarray, existence: float = 1.0) -> Tracks:
     """Confirmed tracks with means (T, 4)."""
     count = len(mean)
     return Tracks(
-        Gaussian(mean.astype(float), np.broadcast_to(np.diag([9.0, 4, 9, 4]), (count, 4, 4)).copy()),
+        Gaussian(
+            mean.astype(float), np.broadcast_to(np.diag([9.0, 4, 9, 4]), (count, 4, 4)).copy()
+        ),
         np.full(count, existence),
         np.stack((np.zeros(count), np.zeros(count), np.arange(count)), axis=1).astype(int),
         np.ones(count, dtype=bool),

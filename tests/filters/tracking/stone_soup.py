@@ -1,4 +1,4 @@
-"""The joint probabilistic data association filter of Stone Soup on the case of `position_sensor`."""
+"""Stone Soup's joint probabilistic data association on the case of `position_sensor`."""
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
@@ -70,7 +70,7 @@ class StoneSoupTracker:
 
         for track in self.tracks:
             every = hypotheses[track]
-            states = [self.updater.update(one) if one else one.prediction for one in every]
+            states: list = [self.updater.update(one) if one else one.prediction for one in every]
             mean, cov = gm_reduce_single(
                 StateVectors([state.state_vector for state in states]),
                 np.stack([state.covar for state in states], axis=2),

@@ -1,8 +1,9 @@
-"""Test the tracker: beside Stone Soup, in any order of arrival, and the existence of its targets."""
+"""Test the tracker: beside Stone Soup, in any order of arrival, and the existence of targets."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings as hypothesis_settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from concord.filters.association.associate import joint_probabilities
@@ -34,7 +35,7 @@ def test_five_crossing_targets_agree_with_stone_soup(steps: int):
         seen.append(joint_probabilities(weights))
         return seen[-1]
 
-    known = settings(**KNOWN)._replace(associate=associate)
+    known = settings("jpda", **KNOWN)._replace(associate=associate)
     peer = StoneSoupTracker(*tracks.belief, sensor, known.gate_probability)
     shared = 0
     for step, detections in enumerate(scans, start=1):
