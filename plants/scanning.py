@@ -13,7 +13,7 @@ FALSE_ALARM = 1e-3
 REFERENCE = math.sqrt(0.5)
 """Range at which the detection probability is the one asked for, in fields of view: half of the
 field's area is nearer."""
-MOST_CLUTTER = 1000
+MOST_CLUTTER = 200
 LEAST_CLUTTER = 0.01
 """Expected clutter of a scan that a tracker assumes at least: none would make each detection a
 target."""

@@ -17,13 +17,16 @@ EXACT_UP_TO = 12
 """Least number of tracks or detections of a cluster above which its sum is not exact."""
 BEST = 100
 """Number of hypotheses that stand for all of a cluster that is too large."""
+BEST_UP_TO = 30
+"""Number of tracks or detections above which the best hypothesis alone stands for all."""
 
 
 def joint_probabilities(weights: Weights, exact_up_to: int = EXACT_UP_TO) -> Association:
     """Joint probabilistic data association.
 
     The sum over joint hypotheses is exact for each cluster whose tracks or detections number at
-    most `exact_up_to`. In a larger one the `BEST` hypotheses of Murty stand for all.
+    most `exact_up_to`. In a larger one the `BEST` hypotheses of Murty stand for all, and beyond
+    `BEST_UP_TO` the best one alone, as Murty's partition takes a time of the fourth power.
 
     Source: Fortmann, Bar-Shalom and Scheffe (1983), Sonar tracking of multiple targets using joint
     probabilistic data association, IEEE J. Oceanic Engineering 8(3).
@@ -85,7 +88,8 @@ def _exact(weights: Weights, cluster: TrackCluster, exact_up_to: int) -> np.ndar
 def _by_best(weights: Weights, cluster: TrackCluster) -> np.ndarray:
     """Probabilities of a cluster, from its best hypotheses alone."""
     within = _within(weights, cluster)
-    chosen, log_weights = best_hypotheses(within, BEST)
+    number = BEST if min(map(len, cluster)) <= BEST_UP_TO else 1
+    chosen, log_weights = best_hypotheses(within, number)
     share = np.exp(log_weights - log_weights[0])
     share /= share.sum()
     columns = np.arange(within.hit.shape[1])

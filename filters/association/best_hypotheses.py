@@ -34,9 +34,11 @@ def best_hypotheses(weights: Weights, number: int) -> tuple[np.ndarray, np.ndarr
     # A part of all hypotheses: its best one, rows that are settled, and costs without the others.
     waiting = [(first[0], first[1], 0, costs)]
     found: list[tuple[float, tuple[int, ...]]] = []
-    while waiting and len(found) < number:
+    while waiting:
         cost, columns, settled, allowed = heapq.heappop(waiting)
         found.append((cost, columns))
+        if len(found) == number:
+            break
         for row in range(settled, tracks):
             # The part that agrees with this hypothesis up to `row`, and differs from it there.
             other = allowed.copy()

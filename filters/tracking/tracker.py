@@ -227,12 +227,12 @@ def _apart(tracks: Tracks, same_within: float) -> Tracks:
         return tracks
     mean, cov = tracks.belief
     older, younger = np.triu_indices(count, 1)
-    # Tracks far apart need no matrix.
+    # Tracks far apart need no matrix: the trace bounds the greatest eigenvalue.
+    scale = np.trace(cov, axis1=-2, axis2=-1)
     away = mean[older] - mean[younger]
+    near = np.vecdot(away, away) <= same_within * (scale[older] + scale[younger])
+    older, younger, away = older[near], younger[near], away[near]
     both = cov[older] + cov[younger]
-    scale = np.trace(both, axis1=-2, axis2=-1)
-    near = np.vecdot(away, away) <= same_within * scale
-    older, younger, away, both = older[near], younger[near], away[near], both[near]
     distance = np.vecdot(away, multiply(inverse_spd(both), away))
     kept = np.ones(count, dtype=bool)
     for first, second in zip(

@@ -25,6 +25,7 @@ from concord.topology.names import unknown_name
 STATES = 4
 NEW_TARGETS = 0.1
 """Expected number of new targets in a scan, as a tracker assumes it."""
+END_OVER_BIRTH = 0.1
 ACCELERATION_DENSITY_M2_S3 = 1.0
 """So much the tracker allows for turns: 0.1 rad/s at 10 m/s is an acceleration of 1 m/s²."""
 
@@ -122,13 +123,16 @@ class TargetSwarm:
 
     def settings(self) -> TrackerSettings:
         """Return the settings of a tracker: constant velocity, disturbed by the targets' turns."""
+        birth = NEW_TARGETS / (NEW_TARGETS + self.clutter)
         motion = ConstantVelocity(acceleration_density_m2_s3=ACCELERATION_DENSITY_M2_S3)
         return TrackerSettings(
             lambda states: motion.transition(states, None, 0),
             motion.process_noise_cov(0),
             cubature(STATES),
             ASSOCIATIONS[self.association],
-            birth=NEW_TARGETS / (NEW_TARGETS + self.clutter),
+            birth=birth,
+            # A track may lose nine tenths of its first existence, however small that is.
+            end_below=END_OVER_BIRTH * birth,
         )
 
 

@@ -40,7 +40,7 @@ def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFix
     ("words", "says"),
     [
         (("--detection", "1"), "--detection 1.0: must be above 0.001"),
-        (("--clutter", "-1"), "--clutter -1.0: must be 0 to 1000"),
+        (("--clutter", "-1"), "--clutter -1.0: must be 0 to 200"),
         (("--loss", "1"), "--loss 1.0: must be 0 or more, and below 1"),
         (("--targets", "0"), "--targets 0: must be 1 or more"),
         (("--runs", "0"), "--runs 0: must be 1 or more"),

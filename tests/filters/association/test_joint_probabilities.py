@@ -106,6 +106,16 @@ def test_a_large_cluster_is_approximated_and_counted():
     np.testing.assert_allclose(found.miss + found.hit.sum(axis=1), 1)
 
 
+def test_the_best_hypothesis_stands_for_a_cluster_beyond_all_bounds():
+    size = associate.BEST_UP_TO + 1
+    weights = Weights(
+        np.full(size, 0.1), np.exp(np.random.default_rng(1).normal(size=(size, size)))
+    )
+    found = joint_probabilities(weights)
+    assert found.approximated == 1
+    np.testing.assert_array_equal(found.hit, ASSOCIATIONS["nearest"](weights).hit)
+
+
 def test_a_sum_beyond_a_float_falls_back_to_the_best_hypotheses():
     # All tracks want the one detection, and cannot miss: every hypothesis underflows.
     weights = Weights(np.full(5, 1e-200), np.array([[1.0]] * 5))
