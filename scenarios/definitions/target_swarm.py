@@ -4,7 +4,7 @@ The ground, the sensors and the radio are those of `target-tracking`. Detections
 """
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -100,7 +100,7 @@ class TargetSwarm:
 
     def truth(self) -> np.ndarray:
         """States (steps, targets, 4) of the targets, NaN where one is not there."""
-        return Swarm(self.targets).truth(partial(generator, self), self.steps)
+        return Swarm(self.targets).truth(self.stream, self.steps)
 
     def scans(self, truth: np.ndarray) -> list[list[Scan]]:
         """Return the scans of all nodes in each step."""
@@ -108,7 +108,7 @@ class TargetSwarm:
             ScanningSensor(RangeBearing(place), self.detection, self.clutter)
             for place in self.positions()
         ]
-        streams = [generator(self, "scan", node) for node in range(self.nodes)]
+        streams = [self.stream("scan", node) for node in range(self.nodes)]
         return [
             [
                 Scan(node, sensor, sensor.scan(states, stream))
@@ -117,9 +117,9 @@ class TargetSwarm:
             for states in truth
         ]
 
-    def losses(self) -> np.random.Generator:
-        """Return the stream of what nodes do not hear."""
-        return generator(self, "loss", 0)
+    def stream(self, purpose: str, node: int) -> np.random.Generator:
+        """Return the random stream of one purpose at one node."""
+        return generator(self, purpose, node)
 
     def settings(self) -> TrackerSettings:
         """Return the settings of a tracker: constant velocity, disturbed by the targets' turns."""

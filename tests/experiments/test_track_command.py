@@ -10,13 +10,14 @@ import pytest
 
 from concord.experiments.tracking.swarm_run import run_swarm
 from concord.experiments.tracking.track_log import TrackLog
+from concord.filters.tracking import tracker
 from concord.filters.tracking.tracks import no_tracks
 from concord.scenarios.definitions.target_swarm import TargetSwarm
 from tests.experiments.flexray_support import concord, refused
 from tests.filters.tracking.position_sensor import tracks_at
 
-SMALL = TargetSwarm(nodes=8, targets=4, steps=30, clutter=3)
-SMALL_WORDS = ("--nodes", "8", "--targets", "4", "--steps", "30", "--clutter", "3")
+SMALL = TargetSwarm(nodes=8, targets=4, steps=20, clutter=3)
+SMALL_WORDS = ("--nodes", "8", "--targets", "4", "--steps", "20", "--clutter", "3")
 
 
 def test_the_command_prints_what_the_run_gives(capsys: pytest.CaptureFixture[str]):
@@ -33,7 +34,10 @@ def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFix
     both = json.loads(concord(capsys, *words, "--runs", "2").out)["runs"]
     second = json.loads(concord(capsys, *words, "--run", "1").out)["runs"]
     assert both[1:] == second and both[0] != both[1]
-    assert "±" in concord(capsys, "track", *SMALL_WORDS, "--workers", "1", "--runs", "2").out
+    table = concord(capsys, *words[:-1], "--runs", "2", "--alone").out
+    pairs = SMALL.steps * SMALL.nodes * (SMALL.nodes - 1)
+    assert "±" in table
+    assert f"{pairs} pairs of nodes had equal scans; the tracks of 0 differ." in table
 
 
 @pytest.mark.parametrize(
@@ -59,6 +63,20 @@ def test_nodes_with_all_scans_are_as_good_as_the_centre_to_the_bit():
     assert run.held == 1 and run.alike == 1
     assert run.nodes.gospa_m == pytest.approx(run.centre.gospa_m, rel=1e-12)
     assert run.nodes.missed < 2 and run.nodes.false < 1
+
+
+def test_nodes_that_compute_alone_have_the_tracks_of_those_that_share():
+    few_scans = dataclasses.replace(SMALL, rounds=2, loss=0.2, steps=20)
+    alone, shared = run_swarm(few_scans, alone=True), run_swarm(few_scans)
+    assert msgspec.structs.replace(alone, compared=None) == shared
+    assert alone.compared is not None
+    assert alone.compared.pairs > 50 and alone.compared.different == 0
+
+
+def test_a_tracker_that_keeps_the_order_of_arrival_is_found_out(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tracker, "in_order", lambda detections: detections)
+    found = run_swarm(dataclasses.replace(SMALL, steps=8), alone=True).compared
+    assert found is not None and found.different > 0
 
 
 def test_few_rounds_and_losses_cost_the_nodes_but_not_the_centre():

@@ -4,6 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -40,6 +41,9 @@ class TrackOptions:
     swarm: Annotated[TargetSwarm, tyro.conf.arg(name="")] = field(default_factory=TargetSwarm)
     runs: int = 1
     """Independent runs; two or more give intervals of 95 %."""
+    alone: bool = False
+    """Let each node compute its own tracks, from scans in an order of its own, and compare the bits
+    of nodes with equal scans. Otherwise these nodes share one computation, which saves time."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     json: bool = False
@@ -64,7 +68,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
     found: dict[int, SwarmRun] = {}
     try:
         with progress("runs", options.runs) as on_runs:
-            for place, run in engine(run_swarm, cases):
+            for place, run in engine(partial(run_swarm, alone=options.alone), cases):
                 found[place] = run
                 on_runs(len(found))
     except WorkerLost as error:
@@ -95,6 +99,14 @@ def _show(swarm: TargetSwarm, runs: Sequence[SwarmRun]) -> None:
         f"After a step a node holds {held:.1%} of the scans of the last {swarm.window_steps} "
         f"steps; {alike:.1%} of the pairs of nodes have equal tracks, bit for bit.\n"
     )
+    compared = [run.compared for run in runs if run.compared is not None]
+    if compared:
+        pairs, different = (
+            sum(getattr(one, name) for one in compared) for name in ("pairs", "different")
+        )
+        sys.stdout.write(
+            f"{pairs} pairs of nodes had equal scans; the tracks of {different} differ.\n"
+        )
     approximated = sum(run.approximated for run in runs)
     if approximated:
         sys.stdout.write(
