@@ -87,6 +87,8 @@ class Dashboard:
         bind("Pause or resume", "P", controls.toggle)
         bind("One step", "N", controls.step_once)
         bind("One step back", "B", lambda _: controls.step_back())
+        bind("Loop from here", "I", controls.loop.begin)
+        bind("Loop to here", "O", controls.loop.end)
         bind("Go to the newest step", "G", lambda _: controls.follow())
         bind("Select the next node", "J", lambda _: self._select_next(1))
         bind("Select the node before", "K", lambda _: self._select_next(-1))
@@ -174,6 +176,7 @@ class Dashboard:
         if frames:
             self.page.set_extent(self.history.first_step, self.history.last_step)
             self._changed.set()
+        self.failures.attempt("Until", lambda: self.controls.until.advance(self.history))
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
@@ -186,15 +189,16 @@ class Dashboard:
 
     def _draw_status(self, frame: StepFrame | None) -> None:
         pace = self.source.pace()
-        state = pace.state
+        state, detail, until = pace.state, pace.detail, self.controls.until.words
+        if until:
+            detail = f"{detail}; until {until}"
+            state = "RUNNING" if state == "PAUSED" else state
         if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
         waiting = self.controls.show_state(pace, self.view.playing)
         judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         failures = self.failures.sentences()
-        html = status(
-            self.stage, self.view.theme, frame, state, pace.detail, failures, waiting, judged
-        )
+        html = status(self.stage, self.view.theme, frame, state, detail, failures, waiting, judged)
         self.page.show("status", self.controls.status, html)
 
     def _judge(self) -> RunVerdict:

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from concord.dashboard.bridge import Bridge
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.conditions import sender_at
@@ -23,6 +25,7 @@ from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView
 from concord.dashboard.panels.zoom import zoom
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
+from concord.dashboard.seeking.time_cursor import TimeCursor
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
@@ -48,6 +51,7 @@ class Page:
         self._window, self._inputs = window, inputs
         self._attempt = failures.attempt
         self._drawn: dict[str, str] = {}
+        self._time_step_s = stage.setup.time_step_s
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
         with panels.charts:
@@ -68,6 +72,7 @@ class Page:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
             self._strip = RunStrip()
             self._run = Bridge(gui, MOST_BINS, self._seek, lambda _: None)
+            TimeCursor(gui, self._seek_time)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
             self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
@@ -89,6 +94,11 @@ class Page:
     def _seek(self, number: int) -> None:
         step = self._strip.step_of(number)
         self._inputs.alter(lambda view: view.look_at(step))
+
+    def _seek_time(self, time_s: float) -> None:
+        if np.isfinite(time_s):
+            step = round(time_s / self._time_step_s)
+            self._inputs.alter(lambda view: view.look_at(step))
 
     def draw_scene(self, view: View, history: FrameHistory) -> None:
         """Draw the scene and the timeline of the shown cycle."""
@@ -118,7 +128,7 @@ class Page:
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Run": (
-                self._run, lambda: self._strip.draw(stage, view.theme, history, frame.step),
+                self._run, lambda: self._strip.draw(stage, view, history),
             ),
             "Nodes": (self._table, lambda: node_table(stage, view, frame)),
             "Beliefs": (
