@@ -14,6 +14,7 @@ import numpy as np
 import viser
 
 from concord.dashboard.access import PageAccess
+from concord.dashboard.comparison.other_run import OtherRun
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
@@ -40,8 +41,9 @@ class Dashboard:
 
     def __init__(
         self, source: Source, host: str, port: int, theme: Theme, folder: Path | None,
-        expected: Expectation,
+        expected: Expectation, other: OtherRun | None = None,
     ) -> None:  # fmt: skip
+        self._other = other
         self._expected = expected
         self.source, self.stage = source, source.stage
         self.view = first_view(self.stage, theme, source.live)
@@ -58,7 +60,9 @@ class Dashboard:
         )
         ExportButtons(gui, self._shown, folder)
         self.failures = PanelFailures()
-        self.page = Page(self._window, self.inputs, self.stage, self.view, self.failures)
+        self.page = Page(
+            self._window, self.inputs, self.stage, self.view, self.failures, self.history, other
+        )
         self._shortcuts()
 
     @property
@@ -170,6 +174,8 @@ class Dashboard:
         if frames and not len(self.history):
             self.view.step = frames[0].step
         self.history.add(frames)
+        if self._other is not None:
+            self._other.poll()
         if self.source.stage is not self.stage:
             self.stage = self.source.stage
             self.controls.set_stage(self.stage)

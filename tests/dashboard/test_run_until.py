@@ -60,7 +60,7 @@ def test_a_network_runs_until_a_condition_holds_and_stands_there(dashboard: Dash
         before = history.last_step
         look_for(dashboard, words)
         draw_until(dashboard, lambda: not until.words)
-        # What had begun before the pause comes to its end.
+        # Steps that had begun before the pause come to their end.
         draw_until(dashboard, lambda: dashboard.source.pace().state == "PAUSED")
         for _ in range(50):
             dashboard.tick(time.monotonic())
