@@ -14,6 +14,7 @@ import numpy as np
 import viser
 
 from concord.dashboard.access import PageAccess
+from concord.dashboard.comparison.other_run import OtherRun
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
@@ -40,8 +41,9 @@ class Dashboard:
 
     def __init__(
         self, source: Source, host: str, port: int, theme: Theme, folder: Path | None,
-        expected: Expectation,
+        expected: Expectation, other: OtherRun | None = None,
     ) -> None:  # fmt: skip
+        self._other = other
         self._expected = expected
         self.source, self.stage = source, source.stage
         self.view = first_view(self.stage, theme, source.live)
@@ -58,7 +60,9 @@ class Dashboard:
         )
         ExportButtons(gui, self._shown, folder)
         self.failures = PanelFailures()
-        self.page = Page(self._window, self.inputs, self.stage, self.view, self.failures)
+        self.page = Page(
+            self._window, self.inputs, self.stage, self.view, self.failures, self.history, other
+        )
         self._shortcuts()
 
     @property
@@ -87,6 +91,8 @@ class Dashboard:
         bind("Pause or resume", "P", controls.toggle)
         bind("One step", "N", controls.step_once)
         bind("One step back", "B", lambda _: controls.step_back())
+        bind("Loop from here", "I", controls.loop.begin)
+        bind("Loop to here", "O", controls.loop.end)
         bind("Go to the newest step", "G", lambda _: controls.follow())
         bind("Select the next node", "J", lambda _: self._select_next(1))
         bind("Select the node before", "K", lambda _: self._select_next(-1))
@@ -168,12 +174,15 @@ class Dashboard:
         if frames and not len(self.history):
             self.view.step = frames[0].step
         self.history.add(frames)
+        if self._other is not None:
+            self._other.poll()
         if self.source.stage is not self.stage:
             self.stage = self.source.stage
             self.controls.set_stage(self.stage)
         if frames:
             self.page.set_extent(self.history.first_step, self.history.last_step)
             self._changed.set()
+        self.failures.attempt("Until", lambda: self.controls.until.advance(self.history))
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
@@ -186,15 +195,16 @@ class Dashboard:
 
     def _draw_status(self, frame: StepFrame | None) -> None:
         pace = self.source.pace()
-        state = pace.state
+        state, detail, until = pace.state, pace.detail, self.controls.until.words
+        if until:
+            detail = f"{detail}; until {until}"
+            state = "RUNNING" if state == "PAUSED" else state
         if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
         waiting = self.controls.show_state(pace, self.view.playing)
         judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         failures = self.failures.sentences()
-        html = status(
-            self.stage, self.view.theme, frame, state, pace.detail, failures, waiting, judged
-        )
+        html = status(self.stage, self.view.theme, frame, state, detail, failures, waiting, judged)
         self.page.show("status", self.controls.status, html)
 
     def _judge(self) -> RunVerdict:

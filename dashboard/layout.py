@@ -31,6 +31,7 @@ class Panels(NamedTuple):
     bus: Any
     zoom: Any
     states: Any
+    ratios: Any
     arrange: Callable[[viser.ClientHandle, int, int], Free]
 
 
@@ -51,8 +52,11 @@ def columns_for(width: int) -> Columns:
     return Columns(272, 384, 262)
 
 
-def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
-    """Make the panels of the page; beside the scene lie states or beliefs on top."""
+def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = False) -> Panels:
+    """Make the panels of the page; beside the scene lie states or beliefs on top.
+
+    A page that compares two runs has a table of their ratios; `ratios` is None on others.
+    """
     gui = server.gui
     icon = viser.Icon
     upper = gui.add_panel()
@@ -61,6 +65,7 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
     log = upper.add_tab("Log", icon.LIST)
     lower = gui.add_panel()
     nodes = lower.add_tab("Nodes", icon.TABLE)
+    ratios = lower.add_tab("Ratios", icon.SCALE) if is_compared else None
     selected = lower.add_tab("Selected", icon.FOCUS_2)
     legend = lower.add_tab("Help", icon.HELP)
     bus_panel, zoom_panel = gui.add_panel(), gui.add_panel()
@@ -104,8 +109,9 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
         return Free(canvas, height, _MARGIN, 2 * _MARGIN, canvas - covered, bottom)
 
     return Panels(
-        charts, state, log, nodes, selected, legend, bus, tabs["Beliefs"], tabs["States"], arrange
-    )
+        charts, state, log, nodes, selected, legend, bus, tabs["Beliefs"], tabs["States"], ratios,
+        arrange,
+    )  # fmt: skip
 
 
 def _place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.MainPanelHandle:

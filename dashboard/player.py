@@ -43,6 +43,8 @@ def play_recorded(view: View, extent: Extent, elapsed_s: float, time_step_s: flo
     end = extent.rounds - 1e-6
     if view.playing:
         place = view.step + view.cursor / extent.rounds + elapsed_s * view.speed / time_step_s
+        if view.loop is not None and not view.loop[0] <= place < view.loop[1] + 1:
+            place = float(view.loop[0])
         if place >= extent.last + 1:
             view.step, view.cursor = extent.last, end
             view.playing = extent.growing

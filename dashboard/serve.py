@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from concord.dashboard.app import Dashboard
+from concord.dashboard.comparison.other_run import OtherRun, RatioInterval, refuse_unlike
 from concord.dashboard.frames.expected import Expectation, nothing_expected
 from concord.dashboard.frames.live import LiveNetwork
 from concord.dashboard.frames.source import RecordedSource
@@ -19,19 +20,36 @@ def open_recording(
     port: int,
     light: bool,
     expected: Expectation = nothing_expected,
+    other: OtherRun | None = None,
 ) -> Dashboard:
-    """A page on a recorded run; `expected` is what other runs tell of it.
+    """A page on a recorded run, and on one beside it; `expected` is what more runs tell of it.
 
     Raises:
         ValueError: the file is not a recording, or an empty one.
     """
+    source, theme = _recorded(setup, recording), LIGHT if light else DARK
+    return Dashboard(source, host, port, theme, recording.parent, expected, other)
+
+
+def _recorded(setup: Setup, recording: Path) -> RecordedSource:
     # Its first message tells whether it is one, before a page is opened on it.
     if next(iter(read_recording(recording)), None) is None:
         raise ValueError(
             f"{recording}: nothing was recorded; the run ended before its first message"
         )
-    source = RecordedSource(set_stage(setup), recording)
-    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, expected)
+    return RecordedSource(set_stage(setup), recording)
+
+
+def other_run(
+    setup: Setup, recording: Path, beside: Setup, labels: tuple[str, str], ratio: RatioInterval
+) -> OtherRun:
+    """Return a recorded run to show beside one of setup `beside`; `labels` has that one's first.
+
+    Raises:
+        ValueError: the file is no recording, or not of the same truth.
+    """
+    refuse_unlike(beside, setup, labels)
+    return OtherRun(_recorded(setup, recording), labels, ratio)
 
 
 def open_network(

@@ -19,6 +19,7 @@ class View:
     Attributes:
         step: the one that is shown; `follow` keeps it at the newest.
         playing: a recording runs on by itself, `speed` times as fast as the plant.
+        loop: the first and the last step between which a recording plays again and again.
         cursor: place within the step, 0..rounds: whole part the cycle, rest the time within it.
         magnify: how much larger than the network errors and ellipses are drawn; `is_automatic`
             lets it follow the errors.
@@ -31,6 +32,7 @@ class View:
     follow: bool = True
     playing: bool = True
     speed: float = 1.0
+    loop: tuple[int, int] | None = None
     cursor: float = 0.0
     selected: int | None = None
     hovered: int | None = None
@@ -52,7 +54,7 @@ class View:
 
     def play(self, first_step: int, last_step: int) -> None:
         """Play on; from the beginning where the last step is shown."""
-        if self.step >= last_step:
+        if self.step >= last_step and self.loop is None:
             self.step, self.cursor = first_step, 0.0
         self.follow, self.playing = False, True
 
@@ -60,3 +62,11 @@ class View:
         """Show this step from its beginning, and stay there."""
         self.follow, self.playing = False, False
         self.step, self.cursor = step, 0.0
+
+    def loop_here(self, is_first: bool, first_step: int, last_step: int) -> None:
+        """Begin or end the loop at the shown step; its other end stays, or is that of the run."""
+        low, high = self.loop or (first_step, last_step)
+        if is_first:
+            self.loop = self.step, high if high > self.step else last_step
+        else:
+            self.loop = low if low < self.step else first_step, self.step

@@ -2,7 +2,8 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -59,6 +60,10 @@ class FrameHistory:
         """At most so many frames up to and with a step."""
         last = self._index(step)
         return self._frames[max(0, last + 1 - most) : last + 1]
+
+    def after(self, step: int) -> Iterator[StepFrame]:
+        """Return the frames after a step, in order."""
+        return islice(self._frames, bisect_right(self._steps, step), None)
 
     def sampled(self, step: int, most: int, steps: int = _MOST_FRAMES) -> list[StepFrame]:
         """Return at most `most` of the last `steps` frames up to a step, evenly thinned.

@@ -12,6 +12,7 @@ from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Curve, Drawn, Sample
+from concord.dashboard.seeking.time_cursor import READING_STYLE, SYNC
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 
@@ -23,7 +24,7 @@ DENSE_STYLE = (
     "<style>.uplot-container{margin:2px 6px!important;padding:0!important}"
     ".u-title{font-size:12px!important;"
     "line-height:15px!important}.u-legend{font-size:10.5px!important;line-height:13px!important;"
-    "margin-top:-2px!important}</style>"
+    "margin-top:-2px!important}</style>" + READING_STYLE
 )
 
 # A low chart that ends just below and above its values has room for one number beside it, or none.
@@ -108,8 +109,8 @@ class Plot:
             "title": form.title,
             "scales": {"x": uplot.Scale(time=False), "y": values},
             "axes": self._axes(),
-            # A single line is named by the title.
-            "legend": uplot.Legend(show=len(form.lines) > 1, live=False),
+            "legend": uplot.Legend(show=True, live=True),
+            "cursor": SYNC,
         }
         self._hide()
         if len(self._handles) < _HANDLES:

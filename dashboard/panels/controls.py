@@ -13,6 +13,8 @@ from concord.dashboard.panels.commands import Commands, Tell
 from concord.dashboard.panels.network_controls import NetworkControls
 from concord.dashboard.panels.node_controls import NodeControls
 from concord.dashboard.panels.view_controls import ViewControls
+from concord.dashboard.seeking.loop_buttons import LoopButtons
+from concord.dashboard.seeking.run_until import RunUntil
 from concord.dashboard.theme import QUIET_BUTTON
 from concord.dashboard.view import View
 
@@ -71,10 +73,13 @@ class Controls:
                 color=QUIET_BUTTON,
                 icon=viser.Icon.BROADCAST,
             )
+            self.loop = LoopButtons(gui, self._inputs, self._history)
+            self.loop.group.visible = not source.live
+            self.until = RunUntil(gui, self._inputs, source, self._commands)
             self.again: Any = gui.add_button("Run again", icon=viser.Icon.REFRESH, visible=False)
             self._reload: Any = gui.add_html("")
         # On a page that is read-only the pace of the network is not for its users to choose.
-        for widget in (self.pause, self.one, self.speed):
+        for widget in self._pace:
             widget.visible = source.takes_commands or not source.live
         self.pause.on_click(at_once(lambda event: self.toggle(event.client)))
         self.one.on_click(at_once(lambda event: self.step_once(event.client)))
@@ -82,8 +87,15 @@ class Controls:
         self.again.on_click(at_once(lambda _: self._start_again()))
         self.go_live.on_click(at_once(lambda _: self.follow()))
 
+    @property
+    def _pace(self) -> list[Any]:
+        """Return the widgets for the pace of a network or of a recording."""
+        return [self.pause, self.one, self.speed, *self.until.widgets]
+
     def toggle(self, client: Any) -> None:
         """Pause what runs, resume what is paused; a recording at its end begins again."""
+        if self.until.stop():
+            return
         if self._plays:
             self._inputs.alter(self._play_or_rest)
         else:
@@ -151,7 +163,7 @@ class Controls:
         answered = pace.state in ("RUNNING", "PAUSED")
         self._show_answered(answered)
         if answered:
-            self._show_paused(pace.state == "PAUSED")
+            self._show_paused(pace.state == "PAUSED" and not self.until.words)
             if pace.steps_per_s != self._rate:
                 self._rate = pace.steps_per_s
                 self._inputs.show(self.speed, value=min(round(self._rate), _MOST_STEPS_PER_S))
@@ -162,8 +174,9 @@ class Controls:
         self._show_answered(False)
         self._plays = True
         self._show_paused(not playing)
-        for widget in (self.pause, self.one, self.speed):
+        for widget in self._pace:
             self._inputs.show(widget, disabled=False, visible=True)
+        self._inputs.show(self.loop.group, visible=True)
         self._inputs.show(
             self.speed, label="Speed", max=_MOST_SPEED, step=0.25, value=1.0, hint=_SPEED_HINT
         )
@@ -179,7 +192,7 @@ class Controls:
         if answered == self._answered:
             return
         self._answered = answered
-        widgets = [self.pause, self.one, self.speed]
+        widgets = self._pace
         for folder in (self.network, self.node):
             widgets += folder.widgets if folder is not None else []
         for widget in widgets:

@@ -36,7 +36,8 @@ _CHARTS = {
     "Payload": "bytes of shares on the bus",
 }
 _KEYS = {
-    "P": "pause or resume", "N": "one step", "G": "newest step", "J, K": "next, previous node",
+    "P": "pause or resume", "N, B": "one step on, one back", "G": "newest step",
+    "I, O": "loop from here, to here", "J, K": "next, previous node",
     "X": "select none", "D": "dark or light",
 }  # fmt: skip
 

@@ -3,11 +3,16 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from concord.dashboard.bridge import Bridge
+from concord.dashboard.comparison.compared_charts import compared_charts
+from concord.dashboard.comparison.other_run import OtherRun
+from concord.dashboard.comparison.ratio_table import ratio_table
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.expected import Expectation
-from concord.dashboard.frames.frame import BusCycle
+from concord.dashboard.frames.frame import BusCycle, StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.inputs import Inputs, at_once
@@ -21,8 +26,10 @@ from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
 from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView
 from concord.dashboard.panels.zoom import zoom
+from concord.dashboard.scene.ghost import Ghost
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
+from concord.dashboard.seeking.time_cursor import TimeCursor
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
@@ -44,15 +51,24 @@ class Page:
         stage: Stage,
         view: View,
         failures: PanelFailures,
+        history: FrameHistory,
+        other: OtherRun | None = None,
     ) -> None:
         self._window, self._inputs = window, inputs
-        self._attempt = failures.attempt
+        self._attempt, self._other = failures.attempt, other
         self._drawn: dict[str, str] = {}
+        self._time_step_s = stage.setup.time_step_s
         gui, nodes = window.server.gui, stage.nodes
-        panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
+        panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE, other is not None)
         with panels.charts:
             gui.add_html(DENSE_STYLE, order=0)
-        self.charts = Charts(gui, panels.charts, run_charts(stage), view.theme, _CHART_HEIGHT)
+        charts = run_charts(stage)
+        if other is not None:
+            charts = compared_charts(charts, other, history)
+            with panels.ratios:
+                self._ratios: Any = gui.add_html("")
+            self._ghost = Ghost(window.server.scene, stage)
+        self.charts = Charts(gui, panels.charts, charts, view.theme, _CHART_HEIGHT)
         self._state_charts = Charts(
             gui, panels.state, state_charts(), view.theme, _STATE_CHART_HEIGHT
         )
@@ -68,6 +84,7 @@ class Page:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
             self._strip = RunStrip()
             self._run = Bridge(gui, MOST_BINS, self._seek, lambda _: None)
+            TimeCursor(gui, self._seek_time)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
             self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
@@ -90,6 +107,11 @@ class Page:
         step = self._strip.step_of(number)
         self._inputs.alter(lambda view: view.look_at(step))
 
+    def _seek_time(self, time_s: float) -> None:
+        if np.isfinite(time_s):
+            step = round(time_s / self._time_step_s)
+            self._inputs.alter(lambda view: view.look_at(step))
+
     def draw_scene(self, view: View, history: FrameHistory) -> None:
         """Draw the scene and the timeline of the shown cycle."""
         frame = history.at(view.step)
@@ -104,12 +126,22 @@ class Page:
             return self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
 
         bus = self._attempt("Bus", timeline)
+        ghost = self._attempt("Ghost", lambda: self._ghosts(view, frame, trail))
         with self._window.server.atomic():
-            if assign is not None:
-                self._attempt("Scene", assign)
+            for picture in (assign, ghost):
+                if picture is not None:
+                    self._attempt("Scene", picture)
             if bus is not None:
                 self.show("Bus", self._bus, bus)
         self._inputs.show(self.slider, value=frame.step)
+
+    def _ghosts(self, view: View, frame: StepFrame, trail: int) -> Callable[[], None] | None:
+        """Return what draws the other run at the shown step, if there is one."""
+        other = self._other
+        if other is None:
+            return None
+        past = other.history.until(frame.step, trail) if len(other.history) else []
+        return self._ghost.draw(view, frame, other.at(frame.step), past)
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
@@ -118,7 +150,7 @@ class Page:
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Run": (
-                self._run, lambda: self._strip.draw(stage, view.theme, history, frame.step),
+                self._run, lambda: self._strip.draw(stage, view, history),
             ),
             "Nodes": (self._table, lambda: node_table(stage, view, frame)),
             "Beliefs": (
@@ -129,6 +161,10 @@ class Page:
             "Help": (self._help, lambda: help_panel(view, frame)),
             "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
         }  # fmt: skip
+        if other := self._other:
+            panels["Ratios"] = (
+                self._ratios, lambda: ratio_table(view.theme, other, history, frame.step),
+            )  # fmt: skip
         drawn = {name: self._attempt(name, make) for name, (_, make) in panels.items()}
         sample = self._attempt("Charts", lambda: sampled(stage, view, history, expectation))
         with self._window.server.atomic():

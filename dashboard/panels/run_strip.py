@@ -11,6 +11,7 @@ from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
 from concord.dashboard.theme import Theme, css, mixed
+from concord.dashboard.view import View
 
 MOST_BINS = 120
 _HEIGHT, _TOP, _BOTTOM, _HEAT = 56.0, 12.0, 42.0, 8.0
@@ -38,8 +39,9 @@ class RunStrip:
         """Return the first step of a bin that was drawn."""
         return int(self._edges[min(number, len(self._edges) - 1)])
 
-    def draw(self, stage: Stage, theme: Theme, history: FrameHistory, step: int) -> str:
-        """Return the strip as SVG, with a mark at the shown step."""
+    def draw(self, stage: Stage, view: View, history: FrameHistory) -> str:
+        """Return the strip as SVG, with a mark at the shown step, and its loop."""
+        theme, step = view.theme, history.at(view.step).step
         events = list(history.log)
         self._follow(history)
         bins = binned(np.array(self._steps), np.array(self._rmse), np.array(self._missed))
@@ -54,10 +56,13 @@ class RunStrip:
             f"fill-opacity:.25}}</style>"
             f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">RMSE, log</text>'
             f'<text x="6" y="{_HEIGHT - 4:g}" font-size="10.5" fill="{quiet}">missed</text>'
-            f"{_heat(theme, place, bins.missed)}{_line(theme, place, bins.rmse)}"
+            f"{_loop(theme, place, bins.edges, view.loop)}{_heat(theme, place, bins.missed)}"
+            f"{_line(theme, place, bins.rmse)}"
             f"{_flags(theme, place, bins.edges, events)}"
             f'<path data-testid="run-cursor" d="M{shown:.1f} 0V{_HEIGHT:g}" stroke="{ink}" '
-            f'stroke-width="2"/>{_targets(stage, place, bins, events)}</svg>'
+            f'stroke-width="2"/><path data-testid="run-pointer" d="M0 0V{_HEIGHT:g}" '
+            f'visibility="hidden" stroke="{ink}" stroke-dasharray="3 2"/>'
+            f"{_targets(stage, place, bins, events)}</svg>"
         )
 
     def _follow(self, history: FrameHistory) -> None:
@@ -101,6 +106,18 @@ def _line(theme: Theme, place: np.ndarray, rmse: np.ndarray) -> str:
     )
 
 
+def _loop(theme: Theme, place: np.ndarray, edges: np.ndarray, loop: tuple[int, int] | None) -> str:
+    """Return a ground under the steps of a loop."""
+    if loop is None:
+        return ""
+    begin, end = np.interp([loop[0], loop[1] + 1], edges, place)
+    return (
+        f'<rect data-testid="loop" x="{begin:.1f}" y="1" width="{end - begin:.1f}" '
+        f'height="{_HEIGHT - 2:g}" fill="{css(theme.fused)}" fill-opacity=".22" '
+        f'stroke="{css(theme.fused)}"/>'
+    )
+
+
 def _heat(theme: Theme, place: np.ndarray, missed: np.ndarray) -> str:
     """Return a box per bin in which frames were missed, the darker the more."""
     most = max(missed.max(), 1.0)
@@ -131,7 +148,7 @@ def _flags(theme: Theme, place: np.ndarray, edges: np.ndarray, events: Sequence[
 
 def _targets(stage: Stage, place: np.ndarray, bins: RunBins, events: Sequence[LogEntry]) -> str:
     """Return what the pointer meets: a box per bin, with its values in words."""
-    unit = stage.score.unit.removeprefix("1")
+    unit, seconds = stage.score.unit.removeprefix("1"), stage.setup.time_step_s
     words: dict[int, list[str]] = {}
     for event in events:
         number = int(np.searchsorted(bins.edges, event.step, side="right")) - 1
@@ -143,7 +160,8 @@ def _targets(stage: Stage, place: np.ndarray, bins: RunBins, events: Sequence[Lo
         rmse = f"RMSE {bins.rmse[i]:.3g} {unit}".strip() if np.isfinite(bins.rmse[i]) else "no RMSE"
         told = [steps, rmse, f"{bins.missed[i]:.0f} senders missed", *words.get(i, ())[:6]]
         parts.append(
-            f'<rect class="bin" data-node="{i}" x="{place[i]:.1f}" y="0" height="{_HEIGHT:g}" '
+            f'<rect class="bin" data-node="{i}" data-time="{first * seconds:g}" '
+            f'x="{place[i]:.1f}" y="0" height="{_HEIGHT:g}" '
             f'width="{place[i + 1] - place[i]:.1f}" fill="#000" fill-opacity="0">'
             f"<title>{escape(chr(10).join(told))}</title></rect>"
         )

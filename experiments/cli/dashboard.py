@@ -24,6 +24,7 @@ from concord.runtime.network.network_file import read_network
 if TYPE_CHECKING:
     from concord.dashboard.app import Dashboard
     from concord.dashboard.frames.live import LiveNetwork
+    from concord.scenarios.setup import Setup
 
 _LONGEST_WAIT_S = 60.0
 _NICENESS = 10
@@ -125,24 +126,28 @@ def _follow_launcher(
 def replay(
     recording: tyro.conf.Positional[Path],
     options: Annotated[PageOptions, tyro.conf.arg(name="")],
+    beside: tyro.conf.Positional[Path | None] = None,
 ) -> None:
-    """Show a recorded run in the browser: its run.mcap or its folder."""
-    from concord.dashboard.serve import open_recording
+    """Show a recorded run in the browser: its run.mcap or its folder.
+
+    A second run of the same scenario and seed is drawn beside it, and compared with it.
+    """
+    from concord.dashboard.serve import open_recording, other_run
+    from concord.experiments.monte_carlo.intervals import ratio_t
 
     with user_errors():
         check_place(options.host, options.http_port)
-        if not recording.exists():
-            raise ValueError(
-                f"{recording}: there is none; name the run.mcap of a run, or its folder"
-            )
-        folder = recording if recording.is_dir() else recording.parent
-        description = read_description(folder)
-        file = folder / RECORDING if recording.is_dir() else recording
-        if not file.is_file():
-            raise ValueError(f"{file}: there is none; the run ended before it began to record")
-        others = OtherRuns(description.setup, sparing=False)
+        setup, file = _recorded(recording)
+        other = None
+        if beside is not None:
+            labels = (recording.name, beside.name)
+            if labels[0] == labels[1]:
+                labels = (str(recording), str(beside))
+            setup_beside, file_beside = _recorded(beside)
+            other = other_run(setup_beside, file_beside, setup, labels, ratio_t)
+        others = OtherRuns(setup, sparing=False)
         page = open_recording(
-            description.setup, file, options.host, options.http_port, options.light, others
+            setup, file, options.host, options.http_port, options.light, others, other
         )
     sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
     try:
@@ -151,3 +156,19 @@ def replay(
     finally:
         others.close()
         page.close()
+
+
+def _recorded(recording: Path) -> tuple["Setup", Path]:
+    """Return the setup of a recorded run, and its recording.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if not recording.exists():
+        raise ValueError(f"{recording}: there is none; name the run.mcap of a run, or its folder")
+    folder = recording if recording.is_dir() else recording.parent
+    description = read_description(folder)
+    file = folder / RECORDING if recording.is_dir() else recording
+    if not file.is_file():
+        raise ValueError(f"{file}: there is none; the run ended before it began to record")
+    return description.setup, file

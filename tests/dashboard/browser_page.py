@@ -10,6 +10,7 @@ from concord.dashboard.app import Dashboard
 from concord.dashboard.serve import open_recording
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
+from concord.scenarios.setup import Setup
 from tests.dashboard.runs import setup_of
 
 _READY = (
@@ -61,13 +62,19 @@ def _middle(page: Any, selector: str) -> list[float]:
     return page.wait_for_function(_MIDDLE, arg=selector, polling=50).json_value()
 
 
-def recorded_page(browser: Any, folder: Path, light: bool = False, **changes: Any) -> "Page":
-    """Run target-tracking with these settings; return a page at rest on its recording."""
+def recorded(folder: Path, **changes: Any) -> tuple[Setup, Path]:
+    """Run target-tracking with these settings; return its setup and its recording."""
     setup = setup_of("target-tracking", **changes)
     file = folder / "run.mcap"
     recorder = McapRecorder(file, setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES)
     drive(setup, recorder, lambda _: None)
     recorder.close()
+    return setup, file
+
+
+def recorded_page(browser: Any, folder: Path, light: bool = False, **changes: Any) -> "Page":
+    """Run target-tracking with these settings; return a page at rest on its recording."""
+    setup, file = recorded(folder, **changes)
     (folder / "run.json").write_text("{}")
     dashboard = open_recording(setup, file, "127.0.0.1", 0, light)
     dashboard.view.playing = dashboard.view.follow = False

@@ -70,3 +70,28 @@ def test_what_memory_has_lost_cannot_be_shown():
     view = View(follow=False, step=3)
     play_live(view, Extent(50, 99, 3, False), 0.1, paused=False)
     assert view.step == 50
+
+
+def test_a_loop_plays_between_its_steps_again_and_again():
+    view = View(step=50, follow=False)
+    view.loop_here(True, 0, 99)
+    assert view.loop == (50, 99)
+    view.step = 53
+    view.loop_here(False, 0, 99)
+    assert view.loop == (50, 53)
+    seen: list[int] = []
+    for _ in range(12):
+        play_recorded(view, EXTENT, 0.5, time_step_s=0.5)
+        seen.append(view.step)
+    assert seen == [50, 51, 52, 53] * 3
+    # An end before the beginning, and a beginning after the end, leave no empty loop.
+    view.step = 20
+    view.loop_here(False, 0, 99)
+    assert view.loop == (0, 20)
+    view.step = 60
+    view.loop_here(True, 0, 99)
+    assert view.loop == (60, 99)
+    view.step = 99
+    view.play(0, 99)
+    play_recorded(view, EXTENT, 0.5, time_step_s=0.5)
+    assert (view.step, view.playing) == (60, True)

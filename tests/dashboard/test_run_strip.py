@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.panels.run_strip import MOST_BINS, RunStrip, binned
 from concord.dashboard.theme import DARK
+from concord.dashboard.view import View
 from tests.dashboard.runs import event, frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30, loss=0.2)
@@ -39,7 +40,7 @@ def test_misses_events_and_the_shown_step_are_marked_in_their_bins():
     # In parts: what was drawn before is not drawn twice.
     for part in (FRAMES[:10], FRAMES[10:]):
         history.add(part)
-        html = strip.draw(STAGE, DARK, history, 12)
+        html = strip.draw(STAGE, View(theme=DARK, step=12), history)
     lossy = [frame for frame in FRAMES if any(cycle.missed for cycle in frame.cycles)]
     assert 0 < len(lossy) == html.count('class="heat"')
     titles = re.findall(r"<title>(.*?)</title>", html, re.DOTALL)

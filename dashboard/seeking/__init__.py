@@ -1,0 +1,1 @@
+"""Ways to a step: conditions at which a run stops, loops, and a pointer on the charts."""
