@@ -12,7 +12,7 @@ missing reading of a sensor with a limited field of view also carries informatio
 here uses it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +20,8 @@ import numpy as np
 
 from concord.filters.linalg import inverse_spd, symmetrise
 from concord.filters.update import without_rows
-from concord.nodes.rules.local_filter import Model, Sensor, StateNoise
+from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
+from concord.nodes.rules.local_filter import Model, StateNoise
 
 # Steps of the differences, in prior standard deviations: the scale on which beliefs see a model.
 STEP = 1e-4
@@ -41,7 +42,7 @@ class Truths(NamedTuple):
 
 
 def posterior_bound(
-    truths: Truths, prior_cov: np.ndarray, model: Model, sensors: Sequence[Sensor | None]
+    truths: Truths, prior_cov: np.ndarray, model: Model, sensors: AllSensors
 ) -> np.ndarray:
     """Return the bound (steps, n, n) on the error covariance after each step's readings.
 
@@ -50,7 +51,8 @@ def posterior_bound(
     """
     steps, n = truths.truth.shape[1:]
     nothing = np.full((steps, n, n), np.nan)
-    if np.isnan(truths.truth).any() or any(isinstance(x, StateNoise) for x in (model, *sensors)):
+    noises = (model, *(group.sensor for group in sensors.groups))
+    if np.isnan(truths.truth).any() or any(isinstance(one, StateNoise) for one in noises):
         return nothing
     scale = STEP * np.sqrt(np.diag(prior_cov))
     bound = prior_cov
@@ -88,38 +90,32 @@ def _predicted(
 
 
 def _information(
-    truths: Truths, sensors: Sequence[Sensor | None], scale: np.ndarray, step: int
+    truths: Truths, sensors: AllSensors, scale: np.ndarray, step: int
 ) -> np.ndarray:
     """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
     runs, n = truths.truth.shape[0], truths.truth.shape[-1]
-    total = np.zeros((n, n))
-    taken = np.logical_not(np.isnan(truths.readings[:, step]).all(axis=-1))
-    for node in np.flatnonzero(taken.any(axis=(0, 2))).tolist():
-        sensor = sensors[node]
-        if sensor is None:
-            continue
-        for place in np.flatnonzero(taken[:, node].any(axis=0)).tolist():
-            which = np.flatnonzero(taken[:, node, place])
-            slopes = _slopes(sensor, truths.truth[which, step], scale, step)
-            value, noise_cov = sensor.interpret(truths.readings[which, step, node, place])
-            missing = np.isnan(value)
-            if missing.any():
-                noise_cov = without_rows(noise_cov, missing)
-                slopes = np.where(missing[..., None], 0.0, slopes)
-            if (noise_cov == noise_cov[:1]).all():
-                # Most sensors have the same noise in every run.
-                noise_cov = noise_cov[:1]
-            weighed = inverse_spd(noise_cov) @ slopes
-            total += slopes.reshape(-1, n).T @ weighed.reshape(-1, n)
-    return symmetrise(total / runs)
+    readings = truths.readings[:, step]
+    taken = np.nonzero(np.logical_not(np.isnan(readings).all(axis=-1)))
+    value, noise_cov = (each[taken] for each in sensors.interpret(readings))
+    run, node, _ = taken
+    slopes = _slopes(sensors.of(node[:, None]), truths.truth[run, step], scale, step)
+    missing = np.isnan(value)
+    if missing.any():
+        noise_cov = without_rows(noise_cov, missing)
+        slopes = np.where(missing[..., None], 0.0, slopes)
+    weighed = np.einsum("kij,kja->kia", inverse_spd(noise_cov), slopes)
+    return symmetrise(slopes.reshape(-1, n).T @ weighed.reshape(-1, n) / runs)
 
 
-def _slopes(sensor: Sensor, states: np.ndarray, scale: np.ndarray, step: int) -> np.ndarray:
-    """Jacobians (R, m, n) of a sensor at states (R, n)."""
+def _slopes(
+    sensors: SourceSensors, states: np.ndarray, scale: np.ndarray, step: int
+) -> np.ndarray:
+    """Jacobians (K, m, n) of the sensors of K readings at states (K, n)."""
     ahead, behind = (
-        sensor.measure(states + sign * np.diag(scale)[:, None], step) for sign in (1, -1)
+        sensors.measure(states + sign * np.diag(scale)[:, None], step) for sign in (1, -1)
     )
-    return np.moveaxis(sensor.residual(ahead, behind) / (2 * scale)[:, None, None], 0, -1)
+    differences = sensors.residual(ahead, behind)[:, :, 0]
+    return np.moveaxis(differences / (2 * scale)[:, None, None], 0, -1)
 
 
 def _jacobian(
