@@ -11,7 +11,6 @@ import numpy as np
 
 from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from concord.experiments.monte_carlo.simulate import Histories
-from concord.nodes.rules.all_sensors import AllSensors
 from concord.scenarios.baselines import centralised_of_runs, filters_step_by_step
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
@@ -79,8 +78,7 @@ def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
         return np.full((steps, n, n), np.nan)
     assert histories.readings is not None, "keep the readings"
     groups = definition.sensor_groups(setup.scenario)
-    sensors = AllSensors(groups, setup.scenario.nodes, histories.readings.shape[-2:])
     truths = Truths(histories.truth, histories.readings, histories.control)
     return posterior_bound(
-        truths, np.array(setup.prior_cov), definition.model(setup.scenario), sensors
+        truths, np.array(setup.prior_cov), definition.model(setup.scenario), groups
     )
