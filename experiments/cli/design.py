@@ -59,6 +59,8 @@ class DesignOptions:
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
+    dask_tls: Path | None = None
+    """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
     json: bool = False
     """Print one JSON object instead of tables."""
 
@@ -81,7 +83,7 @@ def design(
         limits.check()
         specification = specify(said_in(fields))
         settled, space = space_of(specification)
-        engine = engine_for(output.workers, output.dask)
+        engine = engine_for(output.workers, output.dask, output.dask_tls)
         check_place(out)
         asked: dict[str, Any] = {**settled}
         for warning in (*few_steps(scenario_with_known(**asked)[0]), *few_runs(output.runs)):

@@ -1,6 +1,7 @@
 """`concord sweep`: every combination of what is swept, with intervals, in one file of results; and
 `concord merge`: the same from shards."""
 
+import shlex
 import sys
 import time
 from dataclasses import dataclass
@@ -64,6 +65,8 @@ class SweepOptions:
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
+    dask_tls: Path | None = None
+    """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -86,7 +89,7 @@ def sweep(
             output.keep,
         )
         shard = _shard(output, specification)
-        engine = engine_for(output.workers, output.dask)
+        engine = engine_for(output.workers, output.dask, output.dask_tls)
         workers = workers_here(output.workers, output.dask)
         if output.pieces is not None:
             make_folder(output.pieces, "--pieces")
@@ -97,16 +100,21 @@ def sweep(
         with progress("runs", max(total, 1)) as on_runs:
             swept = finish(begun, engine, on_runs)
     except KeyboardInterrupt:
-        sys.stderr.write(f"interrupted; finished pieces are kept in {begun.folder}, and the same "
-                         f"command goes on from there: add -o {out}\n")  # fmt: skip
+        sys.stderr.write(f"interrupted; {_goes_on(output, out)}\n")
         raise
     except (WorkerLost, NotWritten) as error:
-        sys.stderr.write(f"concord: {error}; finished pieces are kept in {begun.folder}\n")
+        sys.stderr.write(f"concord: {error}; {_goes_on(output, out)}\n")
         sys.exit(1)
     if swept.dataset is None:
         _show_shard(swept, begun, output.json)
     else:
         _show(swept.dataset, swept, output.interval, output.json, out)
+
+
+def _goes_on(output: SweepOptions, out: Path) -> str:
+    """Return the command that goes on with the finished pieces, as this one was typed."""
+    typed = [*sys.argv[1:], *(() if output.out is not None else ("-o", str(out)))]
+    return f"finished pieces are kept; go on with: concord {shlex.join(typed)}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from concord.filters.linalg import inverse_spd, symmetrise
 from concord.filters.update import without_rows
-from concord.nodes.rules.local_filter import Model, Sensor, StateNoise
+from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup, StateNoise
 
 # Steps of the differences, in prior standard deviations: the scale on which beliefs see a model.
 STEP = 1e-4
@@ -41,7 +41,7 @@ class Truths(NamedTuple):
 
 
 def posterior_bound(
-    truths: Truths, prior_cov: np.ndarray, model: Model, sensors: Sequence[Sensor | None]
+    truths: Truths, prior_cov: np.ndarray, model: Model, groups: Sequence[SensorGroup]
 ) -> np.ndarray:
     """Return the bound (steps, n, n) on the error covariance after each step's readings.
 
@@ -50,7 +50,8 @@ def posterior_bound(
     """
     steps, n = truths.truth.shape[1:]
     nothing = np.full((steps, n, n), np.nan)
-    if np.isnan(truths.truth).any() or any(isinstance(x, StateNoise) for x in (model, *sensors)):
+    noises = (model, *(group.sensor for group in groups))
+    if np.isnan(truths.truth).any() or any(isinstance(one, StateNoise) for one in noises):
         return nothing
     scale = STEP * np.sqrt(np.diag(prior_cov))
     bound = prior_cov
@@ -58,7 +59,7 @@ def posterior_bound(
     for step in range(steps):
         if step > 0:
             bound = _predicted(bound, truths, model, scale, step - 1)
-        gained = _information(truths, sensors, scale, step)
+        gained = _information(truths, groups, scale, step)
         bound = inverse_spd(symmetrise(inverse_spd(bound) + gained))
         bounds[step] = bound
     return bounds
@@ -88,38 +89,50 @@ def _predicted(
 
 
 def _information(
-    truths: Truths, sensors: Sequence[Sensor | None], scale: np.ndarray, step: int
+    truths: Truths, groups: Sequence[SensorGroup], scale: np.ndarray, step: int
 ) -> np.ndarray:
     """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
     runs, n = truths.truth.shape[0], truths.truth.shape[-1]
     total = np.zeros((n, n))
     taken = np.logical_not(np.isnan(truths.readings[:, step]).all(axis=-1))
-    for node in np.flatnonzero(taken.any(axis=(0, 2))).tolist():
-        sensor = sensors[node]
-        if sensor is None:
+    for group in groups:
+        readings, read = group.of(truths.readings[:, step]), group.of(taken)
+        which = np.flatnonzero(read.any(axis=(1, 2)))
+        if not len(which):
             continue
-        for place in np.flatnonzero(taken[:, node].any(axis=0)).tolist():
-            which = np.flatnonzero(taken[:, node, place])
-            slopes = _slopes(sensor, truths.truth[which, step], scale, step)
-            value, noise_cov = sensor.interpret(truths.readings[which, step, node, place])
-            missing = np.isnan(value)
-            if missing.any():
-                noise_cov = without_rows(noise_cov, missing)
-                slopes = np.where(missing[..., None], 0.0, slopes)
-            if (noise_cov == noise_cov[:1]).all():
-                # Most sensors have the same noise in every run.
-                noise_cov = noise_cov[:1]
-            weighed = inverse_spd(noise_cov) @ slopes
-            total += slopes.reshape(-1, n).T @ weighed.reshape(-1, n)
+        slopes = _slopes(group.sensor, truths.truth[which, step], read.shape[1], scale, step)
+        for place in range(read.shape[2]):
+            value, noise_cov = group.sensor.interpret(readings[which, :, place])
+            noise_cov = np.broadcast_to(noise_cov, (*value.shape, value.shape[-1]))
+            at = read[which, :, place]
+            total += _of_readings(value[at], noise_cov[at], slopes[at])
     return symmetrise(total / runs)
 
 
-def _slopes(sensor: Sensor, states: np.ndarray, scale: np.ndarray, step: int) -> np.ndarray:
-    """Jacobians (R, m, n) of a sensor at states (R, n)."""
+def _of_readings(value: np.ndarray, noise_cov: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Sum of H' R^-1 H (n, n) over readings (K, m), of noise (K, m, m) and slopes (K, m, n)."""
+    missing = np.isnan(value)
+    if missing.any():
+        noise_cov = without_rows(noise_cov, missing)
+        slopes = np.where(missing[..., None], 0.0, slopes)
+    weighed = np.einsum("kij,kja->kia", inverse_spd(noise_cov), slopes)
+    n = slopes.shape[-1]
+    return slopes.reshape(-1, n).T @ weighed.reshape(-1, n)
+
+
+def _slopes(
+    sensor: Sensor, states: np.ndarray, nodes: int, scale: np.ndarray, step: int
+) -> np.ndarray:
+    """Jacobians (R, N, m, n) of the sensor of N nodes at states (R, n)."""
+    n = len(scale)
+    shape = (n, len(states), nodes, n)
     ahead, behind = (
-        sensor.measure(states + sign * np.diag(scale)[:, None], step) for sign in (1, -1)
+        sensor.measure(
+            np.broadcast_to((states + sign * np.diag(scale)[:, None])[:, :, None], shape), step
+        )
+        for sign in (1, -1)
     )
-    return np.moveaxis(sensor.residual(ahead, behind) / (2 * scale)[:, None, None], 0, -1)
+    return np.moveaxis(sensor.residual(ahead, behind), 0, -1) / (2 * scale)
 
 
 def _jacobian(

@@ -4,6 +4,8 @@ Runs are the only thing here that is independent, so nothing is averaged over th
 interval needs them one by one.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -13,7 +15,7 @@ from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
-from concord.filters.metrics import largest_of_known, mean_of_known, rmse
+from concord.filters.metrics import largest_of_known, mean_of_known
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import frame_format
@@ -28,36 +30,37 @@ COVERED = 0.95
 def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str, np.ndarray]:
     """Return the variables of `figure_table.FIGURES`, with their dimensions."""
     score = definition_of(setup.scenario).score
+    states = list(score.states)
     readings, _ = kept(histories)
     counted = scored_steps(score, readings)
+    scored = _Scored(min(score.first_step, counted.shape[1] - 1), counted)
     errors = histories.mean - histories.truth[:, :, None]
     central = frame.mean - histories.truth
-    states = list(score.states)
-    # Steps that do not count are left out, as if the truth were unknown.
-    scored = np.where(counted[..., None, None], errors, np.nan)
-    spread = histories.mean - _average(histories.mean)
-    position = scored[..., states]
-    read = np.logical_not(np.isnan(readings).all(axis=(-1, -2)))
-    per_node = rmse(position, (1,))
+    squares = errors**2
+    # Squared lengths in the scored states.
+    lengths = squares[..., states].sum(-1)
+    central_lengths = (central[..., states] ** 2).sum(-1)
+    means = histories.mean[..., states]
+    spreads = ((means - _average(means)) ** 2).sum(-1)
+    blind = np.isnan(readings).all(axis=(-1, -2))
+    per_node = _root(scored.of(lengths), (1,))
     figures = {
-        "rmse": rmse(position, (1, 2)),
-        "rmse_centralised": rmse(np.where(counted[..., None], central, np.nan)[..., states], (1,)),
-        "rmse_blind": rmse(np.where(read[..., None], np.nan, position), (1, 2)),
+        "rmse": _root(scored.of(lengths), (1, 2)),
+        "rmse_centralised": _root(scored.of(central_lengths), (1,)),
+        "rmse_blind": _root(scored.of(np.where(blind, lengths, np.nan)), (1, 2)),
         "rmse_worst_node": largest_of_known(per_node),
-        "disagreement": rmse(
-            np.where(counted[..., None, None], spread, np.nan)[..., states], (1, 2)
-        ),
-        "rmse_state": np.sqrt(mean_of_known(scored**2, (1, 2))),
+        "disagreement": _root(scored.of(spreads), (1, 2)),
+        "rmse_state": _root(scored.of(squares), (1, 2)),
         "rmse_node": per_node,
-        "error": rmse(errors[..., states], (2,)),
-        "error_centralised": rmse(central[..., None, states], (2,)),
-        "spread": rmse(spread[..., states], (2,)),
+        "error": _root(lengths, (2,)),
+        "error_centralised": np.sqrt(central_lengths),
+        "spread": _root(spreads, (2,)),
         "bound": np.sqrt(np.trace(_part(frame.bound, states), axis1=-2, axis2=-1)),
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
     figures |= _smoothed(setup, histories, frame, counted)
-    figures |= _consistency(setup, histories.nees, counted)
-    figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
+    figures |= _consistency(setup, histories.nees, scored)
+    figures["anees_centralised"] = _anees_central(setup, central, frame.cov, scored)
     return figures | traffic_of(setup, histories)
 
 
@@ -88,40 +91,69 @@ def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:
     return np.arange(steps) >= first[:, None]
 
 
-def _consistency(setup: Setup, values: np.ndarray, counted: np.ndarray) -> dict[str, np.ndarray]:
+class _Scored(NamedTuple):
+    """Steps of R runs that count, `counted` (R, steps); none of them is before step `first`."""
+
+    first: int
+    counted: np.ndarray
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Return values (R, steps, ...) from `first` on, NaN in the steps that do not count."""
+        values, counted = values[:, self.first :], self.counted[:, self.first :]
+        if counted.all():
+            return values
+        return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
+
+
+def _root(squares: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
+    """Root of the mean of squares over axes; unknown ones are left out."""
+    return np.sqrt(mean_of_known(squares, axes))
+
+
+def _consistency(setup: Setup, values: np.ndarray, scored: _Scored) -> dict[str, np.ndarray]:
     states = definition_of(setup.scenario).score.nees_states
     if is_set_valued(setup.scenario):
         nothing = np.full(len(values), np.nan)
-        return {"anees": nothing, "coverage": nothing, "nees": np.full(counted.shape, np.nan)}
-    within = np.where(np.isnan(values), np.nan, values <= chdtri(len(states), 1 - COVERED))
-    here = counted[..., None]
+        return {"anees": nothing, "coverage": nothing, "nees": np.full(values.shape[:2], np.nan)}
+    counted = scored.of(values)
+    within = np.where(np.isnan(counted), np.nan, counted <= chdtri(len(states), 1 - COVERED))
     return {
-        "anees": mean_of_known(np.where(here, values, np.nan), (1, 2)) / len(states),
-        "coverage": mean_of_known(np.where(here, within, np.nan), (1, 2)),
+        "anees": mean_of_known(counted, (1, 2)) / len(states),
+        "coverage": mean_of_known(within, (1, 2)),
         "nees": mean_of_known(values, (2,)) / len(states),
     }
 
 
 def _anees_central(
-    setup: Setup, errors: np.ndarray, cov: np.ndarray, counted: np.ndarray
+    setup: Setup, errors: np.ndarray, cov: np.ndarray, scored: _Scored
 ) -> np.ndarray:
     if is_set_valued(setup.scenario):
         return np.full(len(errors), np.nan)
     states = list(definition_of(setup.scenario).score.nees_states)
     values = scored_nees(setup.scenario, errors, symmetrise(cov))
-    return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
+    return mean_of_known(scored.of(values), (1,)) / len(states)
 
 
 def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     """Return the traffic per node, its load on bus and batteries, and the ages of the shares."""
-    payload, form = histories.payload_bytes, frame_format(setup.scenario)
+    arrays = (histories.payload_bytes, histories.classes, kept(histories)[1])
+    if not all((array == array[:1]).all() for array in arrays):
+        return _traffic(setup, *arrays)
+    # Without contention and losses, all runs have the traffic of the first.
+    of_one = _traffic(setup, *(array[:1] for array in arrays))
+    return {name: np.repeat(value, len(histories.runs)) for name, value in of_one.items()}
+
+
+def _traffic(
+    setup: Setup, payload: np.ndarray, classes: np.ndarray, ages: np.ndarray
+) -> dict[str, np.ndarray]:
+    form = frame_format(setup.scenario)
     frames = np.ceil(payload / form.payload_limit_bytes)
     sent = (payload + form.overhead_bytes * frames).sum(axis=2)
     plant = definition_of(setup.scenario).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
-    ages = kept(histories)[1]
     heard = ages.reshape(len(payload), -1)
-    on_bus = _bus(setup, payload, histories.classes, ages)
+    on_bus = _bus(setup, payload, classes, ages)
     return {
         "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
         "bytes_per_step": sent.sum(axis=2).mean(axis=1),

@@ -76,9 +76,9 @@ def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     # The bound's model does not cover another wiring, a set-valued rule or a gate.
     if definition.wiring is not None or not filters_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
-    sensors = [definition.sensor(setup.scenario, node) for node in range(setup.scenario.nodes)]
     assert histories.readings is not None, "keep the readings"
+    groups = definition.sensor_groups(setup.scenario)
     truths = Truths(histories.truth, histories.readings, histories.control)
     return posterior_bound(
-        truths, np.array(setup.prior_cov), definition.model(setup.scenario), sensors
+        truths, np.array(setup.prior_cov), definition.model(setup.scenario), groups
     )

@@ -1,24 +1,34 @@
 """Pieces of a sweep on the workers of a Dask cluster, which may be on other machines."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from concord._version import __version__
-from concord.experiments.sweep.workers import Engine
+from concord.experiments.sweep.workers import Engine, WorkerLost
 
 CONNECT_TIMEOUT_S = 10
+# Workers that restart are away for some seconds.
+_WITHOUT_WORKERS_S, _LOOK_EVERY_S = 60.0, 5.0
+TLS_FILES = {"tls_ca_file": "ca.pem", "tls_client_cert": "cert.pem", "tls_client_key": "key.pem"}
 
 
-def connect(address: str) -> Engine:
+def connect(address: str, tls: Path | None = None) -> Engine:
     """Return the engine of the scheduler at `address`, such as tcp://10.0.0.1:8786.
+
+    Args:
+        address: of the scheduler; tls://10.0.0.1:8786 where it encrypts.
+        tls: folder with the `TLS_FILES` of this client.
 
     Raises:
         ValueError: the extra is not installed, nobody answers, there are no workers, or they have
-            another version of this program.
+            another version of this program; files of TLS are missing.
     """
+    files = _tls_files(address, tls)
     try:
-        from distributed import Client
+        from distributed import Client, Security
     except ImportError:
         raise ValueError(
             "--dask needs Dask, which is not installed; run `make extras`, or "
@@ -26,7 +36,15 @@ def connect(address: str) -> Engine:
             "processes of this machine"
         ) from None
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT_S)
+        # Without files, Dask's own configuration says which.
+        security = Security(require_encryption=True, **files) if files else None
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, security=security)
+    except TypeError:
+        # Dask's answer to an address of TLS without files.
+        raise ValueError(
+            f"--dask {address}: the scheduler encrypts; give --dask-tls FOLDER with "
+            f"{', '.join(TLS_FILES.values())}"
+        ) from None
     except (OSError, ValueError) as error:
         raise ValueError(
             f"--dask {address}: no scheduler answers ({error}); start one with `dask scheduler` "
@@ -38,6 +56,23 @@ def connect(address: str) -> Engine:
         client.close()
         raise
     return partial(_over, client)
+
+
+def _tls_files(address: str, tls: Path | None) -> dict[str, str]:
+    if tls is None:
+        return {}
+    if not address.startswith("tls://"):
+        raise ValueError(
+            f"--dask {address} with --dask-tls {tls}: an encrypted scheduler has an address such "
+            "as tls://HOST:8786; give that, or leave --dask-tls out"
+        )
+    for name in TLS_FILES.values():
+        if not (tls / name).is_file():
+            raise ValueError(
+                f"--dask-tls {tls}: has no file {name}; put there {', '.join(TLS_FILES.values())}, "
+                "which the scheduler's authority has signed"
+            )
+    return {option: str(tls / name) for option, name in TLS_FILES.items()}
 
 
 def _check_workers(client: Any, address: str) -> None:
@@ -68,15 +103,58 @@ def _version() -> str:
 def _over(
     client: Any, function: Callable[[Any], Any], arguments: Sequence[Any]
 ) -> Iterator[tuple[int, Any]]:
-    from distributed import as_completed
-
+    # The last line of the command says that the scheduler is lost.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     # Not pure: Dask would answer equal pieces of another sweep from its memory.
     waiting = {client.submit(function, one, pure=False): n for n, one in enumerate(arguments)}
     try:
-        for done in as_completed(list(waiting)):
-            # The cluster forgets a result with its last future.
-            yield waiting.pop(done), done.result()
-            done.release()
+        while waiting:
+            for done in _some_done(client, list(waiting)):
+                # The cluster forgets a result with its last future.
+                yield waiting.pop(done), _result(done)
+                done.release()
     finally:
         client.cancel(list(waiting))
         client.close()
+
+
+def _some_done(client: Any, futures: Sequence[Any]) -> Sequence[Any]:
+    """Return the futures that are done, at least one of them.
+
+    Raises:
+        WorkerLost: there were no workers for some time.
+    """
+    from distributed import CancelledError, wait
+
+    without_s = 0.0
+    while True:
+        try:
+            found: Any = wait(futures, _LOOK_EVERY_S, return_when="FIRST_COMPLETED")
+            return list(found.done)
+        except CancelledError:
+            raise _scheduler_lost() from None
+        except TimeoutError:
+            alone = not client.scheduler_info()["workers"]
+            without_s = without_s + _LOOK_EVERY_S if alone else 0.0
+        if without_s >= _WITHOUT_WORKERS_S:
+            raise WorkerLost(
+                f"the Dask scheduler has been without workers for {without_s:.0f} s; start some"
+            )
+
+
+def _result(done: Any) -> Any:
+    from distributed import CancelledError, KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    try:
+        return done.result()
+    except KilledWorker:
+        raise WorkerLost(
+            "several Dask workers ended on one piece, most likely for want of memory"
+        ) from None
+    except (CancelledError, CommClosedError):
+        raise _scheduler_lost() from None
+
+
+def _scheduler_lost() -> WorkerLost:
+    return WorkerLost("the Dask scheduler does not answer any more; start it again")

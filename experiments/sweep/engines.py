@@ -2,6 +2,7 @@
 
 import os
 from functools import partial
+from pathlib import Path
 
 from concord.experiments.sweep.dask_workers import connect
 from concord.experiments.sweep.workers import Engine, in_processes
@@ -21,7 +22,7 @@ def workers_here(workers: int | None, dask: str | None = None) -> int:
     return 1 if dask is not None else workers or available or 1
 
 
-def engine_for(workers: int | None, dask: str | None) -> Engine:
+def engine_for(workers: int | None, dask: str | None, dask_tls: Path | None = None) -> Engine:
     """Return the engine of so many processes here, or of the Dask scheduler at an address.
 
     Raises:
@@ -32,5 +33,7 @@ def engine_for(workers: int | None, dask: str | None) -> Engine:
             raise ValueError(
                 "--workers and --dask: Dask has its own workers; leave one of them out"
             )
-        return connect(dask)
+        return connect(dask, dask_tls)
+    if dask_tls is not None:
+        raise ValueError(f"--dask-tls {dask_tls}: is for --dask tls://HOST:8786; give both")
     return partial(in_processes, workers_here(workers))

@@ -9,6 +9,7 @@ import pytest
 
 from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from concord.experiments.scenario_options import scenario_of
+from concord.nodes.rules.local_filter import SensorGroup
 from concord.scenarios.baselines import centralised
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
@@ -40,6 +41,7 @@ def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
         scenario=scenario,
         model=definition.model(scenario),
         sensors=sensors,
+        groups=definition.sensor_groups(scenario),
         prior_cov=cov,
         priors=priors,
     )
@@ -72,7 +74,7 @@ def kalman_cov(parts: SimpleNamespace, steps: int) -> np.ndarray:
 
 def test_on_a_linear_plant_it_is_the_covariance_of_the_kalman_filter():
     truths, parts = truths_of("oscillator", 2, nodes=5, steps=30)
-    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.groups)
     read = ~np.isnan(truths.readings[0, 0]).all(axis=(-1, -2))
     sensors = [sensor for sensor, reads in zip(parts.sensors, read, strict=True) if reads]
     assert 1 < len(sensors) < len(parts.sensors), "a network without a blind node shows less"
@@ -83,7 +85,7 @@ def test_on_a_linear_plant_it_is_the_covariance_of_the_kalman_filter():
 @pytest.mark.parametrize("name", ["dc-motor-position", "dc-motor-speed"])
 def test_so_it_is_where_some_direction_has_no_noise(name: str):
     truths, parts = truths_of(name, 2, nodes=4, steps=40, control="open")
-    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.groups)
     setup = prepare(parts.scenario)
     filtered = centralised(setup, truths.readings[0], None)
     scale = np.sqrt(np.einsum("kii->ki", filtered.cov))
@@ -122,7 +124,8 @@ def test_on_a_bent_model_it_is_the_last_block_of_the_joint_information():
     truth = np.random.default_rng(0).normal(1, 0.7, (runs, steps, 1))
     readings = np.ones((runs, steps, 1, 1, 1))
     readings[2:, 3] = np.nan
-    bound = posterior_bound(Truths(truth, readings, None), np.array([[0.25]]), Bent(), [Squared()])
+    groups = (SensorGroup(slice(None), Squared()),)
+    bound = posterior_bound(Truths(truth, readings, None), np.array([[0.25]]), Bent(), groups)
     joint = np.zeros((steps, steps))
     joint[0, 0] = 1 / 0.25
     for step in range(steps):
@@ -144,7 +147,7 @@ def test_on_a_bent_model_it_is_the_last_block_of_the_joint_information():
 
 def test_no_filter_of_a_tracking_network_beats_it():
     truths, parts = truths_of("target-tracking", 30, nodes=10, steps=40)
-    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.groups)
     setup = prepare(parts.scenario)
     errors = np.array([
         centralised(
@@ -163,5 +166,5 @@ def test_no_filter_of_a_tracking_network_beats_it():
 def test_it_says_nothing_where_nobody_knows_the_truth():
     truths, parts = truths_of("oscillator", 1, nodes=3, steps=3)
     unknown = truths._replace(truth=np.full_like(truths.truth, np.nan))
-    bound = posterior_bound(unknown, parts.prior_cov, parts.model, parts.sensors)
+    bound = posterior_bound(unknown, parts.prior_cov, parts.model, parts.groups)
     assert np.isnan(bound).all()

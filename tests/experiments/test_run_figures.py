@@ -127,3 +127,21 @@ def test_the_front_is_what_nothing_beats():
     cost = np.array([1.0, 2.0, 2.0, 3.0, np.nan, 4.0, 1.0])
     error = np.array([5.0, 4.0, 3.0, 3.5, 0.0, 1.0, 6.0])
     assert front(cost, error).tolist() == [0, 2, 5]
+
+
+@pytest.mark.parametrize("fields", [{}, {"schedule": "hybrid", "occupancy": 0.5}])
+def test_figures_of_a_run_do_not_depend_on_the_runs_beside_it(fields: dict):
+    """Runs share what is computed once where their traffic is the same."""
+    setup = prepare(scenario_of("target-tracking", nodes=6, steps=25, **fields))
+    histories = simulate(setup, range(5))
+    together = figures_of(setup, histories, frame_of(setup, range(5), histories))
+    contended = not (histories.classes == histories.classes[:1]).all()
+    assert contended == bool(fields)
+    for run in range(5):
+        own = simulate(setup, [run])
+        alone = figures_of(setup, own, frame_of(setup, range(run, run + 1), own))
+        for name, values in alone.items():
+            if "run" in FIGURES[name].dimensions:
+                np.testing.assert_allclose(
+                    together[name][run], values[0], rtol=1e-9, equal_nan=True, err_msg=name
+                )

@@ -255,7 +255,7 @@ def test_ctrl_c_keeps_finished_pieces_and_ends_every_worker(tmp_path: Path):
     os.killpg(started.pid, signal.SIGINT)
     _, said = started.communicate(timeout=600)
     assert started.returncode == 130
-    assert "the same command goes on" in said and "Traceback" not in said
+    assert "go on with: concord sweep --scenario oscillator" in said and "Traceback" not in said
     kept = len(list(folder.glob("*.npz")))
     assert 0 < kept < 30 and not (tmp_path / "s.nc").exists()
     assert group_ends(started.pid, within_s=10)

@@ -1,0 +1,187 @@
+"""Sweeps on clusters: the files of `deploy/` for shards, and Dask with TLS and with losses."""
+
+import datetime
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from concord.experiments.__main__ import main
+from concord.experiments.sweep.dask_workers import connect
+from concord.experiments.sweep.results import read_result
+from concord.experiments.sweep.run import begin, finish
+from concord.experiments.sweep.specification import specify
+from concord.experiments.sweep.workers import WorkerLost
+from tests.experiments.units import DEPLOY
+
+WORDS = [
+    "--scenario", "oscillator", "--nodes", "3", "--steps", "8", "--seed", "1..4",
+    "--runs", "2", "--keep", "moments",
+]  # fmt: skip
+ASKED = {"scenario": "oscillator", "nodes": "3", "steps": "8", "seed": "1..4"}
+# As sbatch does for an array: a job each, with the words behind the file and these variables.
+SBATCH = """#!/bin/sh
+set -e
+for number in $NUMBERS; do
+    SLURM_ARRAY_TASK_ID=$number SLURM_ARRAY_TASK_COUNT=3 SLURM_CPUS_PER_TASK=1 sh "$@"
+done
+"""
+
+
+def stand_in(folder: Path, **programs: str) -> dict[str, str]:
+    """Return the environment in which these programs are found first."""
+    for name, text in programs.items():
+        (folder / name).write_text(text)
+        (folder / name).chmod(0o755)
+    return {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+
+
+@pytest.mark.slow
+def test_an_array_of_jobs_is_the_undivided_sweep(tmp_path: Path):
+    program = f'#!/bin/sh\nexec {sys.executable} -m concord.experiments "$@"\n'
+    environment = stand_in(tmp_path, sbatch=SBATCH, concord=program)
+    numbers = random.Random(2).sample(range(1, 4), 3)
+    assert numbers != sorted(numbers)
+    subprocess.run(
+        ["sbatch", DEPLOY / "shards.sh", *WORDS],
+        env={**environment, "NUMBERS": " ".join(map(str, numbers))},
+        cwd=tmp_path, check=True, capture_output=True,
+    )  # fmt: skip
+    folders = [str(tmp_path / f"shard{number}.nc.pieces") for number in numbers]
+    main(["merge", *folders, "-o", str(tmp_path / "merged.nc")])
+    main(["sweep", *WORDS, "--workers", "1", "-o", str(tmp_path / "whole.nc")])
+    assert read_result(tmp_path / "merged.nc").identical(read_result(tmp_path / "whole.nc"))
+
+
+def test_the_job_of_kubernetes_is_valid_and_computes_shards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    validator = pytest.importorskip("kubernetes_validate", reason="of the development group")
+    yaml = pytest.importorskip("yaml", reason="comes with kubernetes-validate")
+    job = yaml.safe_load((DEPLOY / "kubernetes-shards.yaml").read_text())
+    validator.validate(job, "1.33", strict=True)
+    assert job["spec"]["completions"] == 10 and job["spec"]["completionMode"] == "Indexed"
+    [container] = job["spec"]["template"]["spec"]["containers"]
+    # The shell of the pod, with a program that prints its words.
+    environment = stand_in(tmp_path, concord='#!/bin/sh\necho "$@"\n')
+    said = subprocess.run(
+        [*container["command"], *container["args"]],
+        env={**environment, "JOB_COMPLETION_INDEX": "9"},
+        check=True, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    words = said.split()
+    assert words[:3] == ["sweep", "--scenario", "oscillator"] and "10/10" in words
+    monkeypatch.chdir(tmp_path)
+    words[words.index("--runs") + 1] = "2"
+    short = ["--nodes", "3", "--steps", "8", "--seed", "1..10"]
+    main([*words, *short])
+    assert len([*(tmp_path / "shard10.nc.pieces").glob("*.npz")]) == 1
+
+
+def certificates(folder: Path) -> None:
+    """Write an authority, and a certificate of its for all ends of a connection."""
+    x509 = pytest.importorskip("cryptography.x509", reason="the extra secure makes certificates")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.oid.NameOID.COMMON_NAME, "dask")])
+    now = datetime.datetime.now(datetime.UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - datetime.timedelta(hours=1))
+        .not_valid_after(now + datetime.timedelta(hours=1))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+        .public_bytes(serialization.Encoding.PEM)
+    )
+    (folder / "ca.pem").write_bytes(certificate)
+    (folder / "cert.pem").write_bytes(certificate)
+    (folder / "key.pem").write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+    )
+
+
+@pytest.mark.slow
+def test_workers_behind_tls_find_the_same_and_others_are_refused(tmp_path: Path):
+    distributed = pytest.importorskip("distributed")
+    certificates(tmp_path)
+    ca, cert, key = (str(tmp_path / name) for name in ("ca.pem", "cert.pem", "key.pem"))
+    ends = {f"tls_{end}_{part}": path for end in ("client", "scheduler", "worker")
+            for part, path in (("cert", cert), ("key", key))}  # fmt: skip
+    security = distributed.Security(tls_ca_file=ca, require_encryption=True, **ends)
+    specification = specify(ASKED, runs=2)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, security=security,
+        protocol="tls://", local_directory=str(tmp_path), processes=False,
+    ) as cluster:  # fmt: skip
+        address = cluster.scheduler_address
+        assert address.startswith("tls://")
+        with pytest.raises(ValueError, match="give --dask-tls FOLDER"):
+            connect(address)
+        found = finish(begin(specification, None), connect(address, tmp_path), lambda _: None)
+    here = tmp_path / "here.nc"
+    main(["sweep", *WORDS[:-2], "--keep", "histories", "--workers", "1", "-o", str(here)])
+    assert found.dataset is not None and found.dataset.equals(read_result(here))
+
+
+def test_files_of_tls_are_named(tmp_path: Path):
+    with pytest.raises(ValueError, match=r"has no file ca\.pem"):
+        connect("tls://127.0.0.1:1", tmp_path)
+    with pytest.raises(ValueError, match="such as tls://HOST:8786"):
+        connect("tcp://127.0.0.1:1", tmp_path)
+
+
+@pytest.mark.slow
+def test_a_lost_scheduler_is_one_line_with_the_command_that_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    distributed = pytest.importorskip("distributed")
+    out = tmp_path / "s.nc"
+    words = ["sweep", *WORDS, "-o", str(out), "--dask"]
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, protocol="tcp://",
+        local_directory=str(tmp_path), processes=False,
+    ) as cluster:  # fmt: skip
+        words.append(cluster.scheduler_address)
+        monkeypatch.setattr(sys, "argv", ["concord", *words])
+
+        def lose(*_: object) -> None:
+            cluster.sync(cluster.scheduler.close)
+
+        monkeypatch.setattr("concord.experiments.sweep.run.save_arrays", lose)
+        with pytest.raises(SystemExit) as end:
+            main(words)
+    said = capsys.readouterr().err
+    assert end.value.code == 1 and "Traceback" not in said
+    [line] = [line for line in said.splitlines() if line.startswith("concord: ")]
+    assert "scheduler does not answer" in line
+    assert line.endswith(f"go on with: concord {' '.join(words)}")
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_stays_without_workers_ends_the_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("concord.experiments.sweep.dask_workers._WITHOUT_WORKERS_S", 2.0)
+    monkeypatch.setattr("concord.experiments.sweep.dask_workers._LOOK_EVERY_S", 1.0)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, protocol="tcp://",
+        local_directory=str(tmp_path), processes=False,
+    ) as cluster:  # fmt: skip
+        engine = connect(cluster.scheduler_address)
+        cluster.scale(0)
+        with pytest.raises(WorkerLost, match="without workers"):
+            list(engine(abs, [-1, -2]))
