@@ -17,6 +17,7 @@ from concord.runtime.network.sockets import in_folder, socket_folder
 from concord.runtime.processes.job import Happened
 from concord.runtime.processes.launcher import run_processes
 from tests.experiments.support import small, trace_of
+from tests.processes import CONCORD, PATIENCE_S, PROC, family, holds_within
 
 STRANGER = 65534
 # The process becomes another user when it has read its modules.
@@ -129,3 +130,17 @@ def test_sockets_and_ports_carry_the_same_run(tmp_path: Path, port: int | None):
     in_this_process(setup, "one", tmp_path / "one.mcap", None, lambda step: None)
     one, many = (trace_of(setup, tmp_path / f"{name}.mcap") for name in ("one", "run"))
     assert first_difference(one, many, "processes") is None
+
+
+@pytest.mark.zenoh
+@pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
+def test_the_folder_goes_although_the_launcher_was_killed(tmp_path: Path):
+    """The launcher process removes it at the end of its lifeline."""
+    words = "run --scenario oscillator --nodes 3 --steps 100000 --driver processes --out run"
+    with family((*CONCORD, *words.split()), tmp_path) as run:
+        there = tmp_path / "run" / "network.json"
+        assert holds_within(PATIENCE_S, there.is_file)
+        folder = Path(paths(read_network(tmp_path / "run").connect)[0]).parent
+        assert folder.is_dir()
+        run.process.kill()
+        assert holds_within(PATIENCE_S, lambda: not folder.exists())
