@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills overload fuzz stories docs pictures lock clean
+.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills mutants overload fuzz stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
@@ -64,6 +64,10 @@ kills: .venv/dev.stamp
 # A million malformed messages against a network that runs: all counted, no estimate changed.
 fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.endurance.fuzz
+
+# Changes of the source that no test notices, of a random sample: docs/mutation_testing.md.
+mutants: .venv/dev.stamp
+	$(BIN)/python -m tests.endurance.mutants
 
 # Golden transcripts of faults and phases; read the difference before you commit it.
 stories: .venv/dev.stamp

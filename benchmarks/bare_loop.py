@@ -33,6 +33,7 @@ from concord.runtime.network.links import (
     ZenohEndpoints,
     free_ports,
     names,
+    on_loopback,
     plan_links,
 )
 from concord.runtime.network.zenoh_transport import Transport, start_router
@@ -61,12 +62,12 @@ def main() -> None:
     """Run the loop once and print {"steps_per_second": ...}."""
     load = msgspec.json.decode(sys.stdin.buffer.readline(), type=Load)
     run = f"bare-{secrets.token_hex(3)}"
-    ports = free_ports(names(load.neighbours))
-    links = plan_links(load.neighbours, ports)
+    at = on_loopback(free_ports(names(load.neighbours)))
+    links = plan_links(load.neighbours, at)
     supervisor = Supervisor()
     try:
-        if "router" in ports:
-            supervisor.start("router", partial(_route, ports["router"]))
+        if "router" in at:
+            supervisor.start("router", partial(_route, at["router"]))
         supervisor.start(RECORDER, partial(_record, run, links[RECORDER], load))
         supervisor.start(ENVIRONMENT, partial(_drive, run, links[ENVIRONMENT], load))
         for node in range(len(load.neighbours)):
@@ -79,8 +80,8 @@ def main() -> None:
         supervisor.stop()
 
 
-def _route(port: int) -> None:
-    session = start_router(f"tcp/127.0.0.1:{port}")
+def _route(endpoint: str) -> None:
+    session = start_router(endpoint)
     signal.pause()
     session.close()
 

@@ -61,8 +61,8 @@ class RunOptions:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
-    """First of consecutive loopback ports for --driver processes or realtime; free ones when left
-    out."""
+    """First of consecutive loopback ports for --driver processes or realtime, 0 for free ones; left
+    out, processes talk over unix sockets that no other user can open."""
     dashboard: bool = False
     """Show a run over processes in the browser. It waits a minute for a browser, and the page stays
     after the run until Ctrl-C."""
@@ -94,7 +94,7 @@ def run(
         check_captures(setup, captures)
         if output.smooth:
             check_smoothing(setup)
-        if output.port is not None:
+        if output.port:
             ports_from(output.port, names(setup.neighbours))
         description, folder = _begun(setup, output, output.out)
     tempo = _tempo(output, setup)

@@ -15,7 +15,8 @@ from concord.experiments.doctor import machine
 from concord.experiments.doctor.finding import Finding, Verdict
 from concord.plants.recorded import mrclam_files
 from concord.plants.vehicle import drive_log
-from concord.runtime.network.links import LOOPBACK, ZenohEndpoints, free_ports
+from concord.runtime.network.links import ZenohEndpoints
+from concord.runtime.network.sockets import in_folder, socket_folder
 from concord.runtime.network.zenoh_transport import LinkError, Transport
 from concord.scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
 from concord.topology import intel_lab
@@ -37,7 +38,7 @@ EXTRAS = {
 def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
     """Everything, one finding at a time: for a network of `nodes`, and these folders of data."""
     yield Finding("python", Verdict.OK, f"{platform.python_version()} on {platform.machine()}")
-    yield machine.ports(nodes)
+    yield machine.sockets()
     yield machine.files(nodes)
     yield zenoh(round_trip_s)
     yield machine.memory(nodes, machine.available_memory_mb())
@@ -53,23 +54,34 @@ def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
 
 
 def zenoh(measure: Callable[[], float]) -> Finding:
-    """Return whether two sessions hear each other on loopback."""
+    """Return whether two sessions hear each other over a unix socket."""
     try:
         seconds = measure()
-    except (LinkError, TimeoutError) as error:
-        cure = f"allow TCP between processes on {LOOPBACK}; look at firewall and sandbox"
+    except (LinkError, TimeoutError, ValueError) as error:
+        cure = "allow unix sockets between processes, or look at the sandbox"
         return Finding("zenoh", Verdict.FAILING, str(error), cure)
-    return Finding("zenoh", Verdict.OK, f"there and back over {LOOPBACK} in {seconds * 1e6:.0f} µs")
+    return Finding("zenoh", Verdict.OK, f"there and back in {seconds * 1e6:.0f} µs")
 
 
 def round_trip_s() -> float:
+    """Return the median seconds of a message there and back over a unix socket of its own folder.
+
+    Raises:
+        LinkError: a session cannot be opened.
+        TimeoutError: nothing comes back.
+        ValueError: no folder takes a socket.
+    """
+    with socket_folder() as folder:
+        return _round_trip_s(in_folder(folder, ["doctor"])["doctor"])
+
+
+def _round_trip_s(endpoint: str) -> float:
     """Median seconds of a message there and back between two sessions.
 
     Raises:
         LinkError: a session cannot be opened.
         TimeoutError: nothing comes back.
     """
-    endpoint = f"tcp/{LOOPBACK}:{free_ports(['doctor'])['doctor']}"
     times: list[float] = []
     echo = Transport("doctor", ZenohEndpoints("peer", (endpoint,), ()), ["there"], 8)
     caller = Transport("doctor", ZenohEndpoints("peer", (), (endpoint,), _ANSWER_S), ["back"], 8)

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from concord.experiments.doctor.finding import Finding, Verdict
-from concord.runtime.network.links import LOOPBACK, free_ports
+from concord.runtime.network.links import LOOPBACK
+from concord.runtime.network.sockets import socket_folder
 
 # An allowance for environment, recorder, router, launcher process and launcher with their
 # libraries, and for each node: a forked one was measured at 4 to 12 MB with its share of
@@ -58,17 +59,14 @@ def available_memory_mb(
     return min(free, (limit - used) / 1024**2)
 
 
-def ports(nodes: int) -> Finding:
-    """Return whether a mesh of `nodes` nodes finds its ports on loopback."""
-    # The environment, the recorder and the subscribers need one port each.
-    count = nodes + 3
+def sockets() -> Finding:
+    """Return whether a network finds a folder of its own for its unix sockets."""
     try:
-        taken = free_ports([str(number) for number in range(count)])
-    except OSError as error:
-        said = f"no {count} free ports on {LOOPBACK}: {error.strerror}"
-        cure = "end other networks, or raise net.ipv4.ip_local_port_range"
-        return Finding("ports", Verdict.FAILING, said, cure)
-    return Finding("ports", Verdict.OK, f"{len(taken)} free on {LOOPBACK}, as many as needed")
+        with socket_folder() as folder:
+            said = f"in a folder of {Path(folder).parent} that no other user can open"
+    except ValueError as error:
+        return Finding("sockets", Verdict.FAILING, str(error), "set TMPDIR")
+    return Finding("sockets", Verdict.OK, said)
 
 
 def page_port(port: int) -> Finding:

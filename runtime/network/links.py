@@ -15,6 +15,7 @@ LOOPBACK = "127.0.0.1"
 MESH_DEGREE_LIMIT = 8
 # How long a process on one of several hosts looks for its router.
 ROUTER_S = 30.0
+_SOCKET = re.compile(r"unixsock-stream/[A-Za-z0-9/._-]+")
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9][A-Za-z0-9.-]*):([0-9]{1,5})")
 _RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -52,17 +53,16 @@ def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
 
 
 def plan_links(
-    neighbours: Sequence[Sequence[int]], ports: dict[str, int]
+    neighbours: Sequence[Sequence[int]], at: dict[str, str]
 ) -> dict[str, ZenohEndpoints]:
-    """The links of every process of a run, by name.
+    """Return the links of every process of a run, by name; `at` has the endpoints of `names`.
 
     Mesh: one link per edge, opened by the higher index; all nodes link to environment and recorder.
     Router: every process is its client.
     """
-    at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
     everyone = [ENVIRONMENT, RECORDER, *(str(node) for node in range(len(neighbours)))]
     watch = {WATCH: ZenohEndpoints("peer", (at[WATCH],), ())}
-    if ROUTER in ports:
+    if ROUTER in at:
         return {**watch, **{name: ZenohEndpoints("client", (), (at[ROUTER],)) for name in everyone}}
     links = {
         **watch,
@@ -90,6 +90,8 @@ def checked_endpoints(option: str, endpoints: Sequence[str], has_keys: bool) -> 
     if not endpoints:
         raise ValueError(f"{option}: there is no endpoint; give one such as tcp/10.0.0.1:7447")
     for endpoint in endpoints:
+        if _SOCKET.fullmatch(endpoint) and not has_keys:
+            continue
         parts = _ENDPOINT.fullmatch(endpoint)
         if parts is None or not 1 <= int(parts[3]) <= 65535:
             raise ValueError(
@@ -156,10 +158,14 @@ def checked_run(run: str) -> str:
     return run
 
 
-def subscribers_endpoints(ports: dict[str, int]) -> list[str]:
+def subscribers_endpoints(at: dict[str, str]) -> list[str]:
     """Where a watcher connects to: what is recorded, and who answers."""
-    answers = ROUTER if ROUTER in ports else ENVIRONMENT
-    return [f"tcp/{LOOPBACK}:{ports[name]}" for name in (WATCH, answers)]
+    return [at[WATCH], at[ROUTER if ROUTER in at else ENVIRONMENT]]
+
+
+def on_loopback(ports: dict[str, int]) -> dict[str, str]:
+    """Return the endpoint of each loopback port."""
+    return {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
 
 
 def free_ports(names: Sequence[str]) -> dict[str, int]:

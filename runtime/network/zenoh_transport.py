@@ -1,6 +1,6 @@
 """The only file that knows zenoh: sessions, links, the readiness barrier, sending and receiving.
 
-Sparse graphs get a mesh of peers with one explicit loopback link per edge of the sensor graph.
+Sparse graphs get a mesh of peers with one explicit local link per edge of the sensor graph.
 Peers do not forward, so the zenoh topology is the sensor graph. Dense graphs go through one router.
 No multicast, no gossip: two runs on one machine never find each other.
 """

@@ -25,8 +25,9 @@ class HostPlace(msgspec.Struct, frozen=True):
 class Job(msgspec.Struct, frozen=True):
     """A run that the launcher asks for.
 
-    `port` is the first of the user's choice, None for free ones. `tempo` is that of real time, None
-    for lockstep. `place` is None where all is on this machine.
+    `port` is the first of the user's choice, 0 for free ones, None for unix sockets in the folder
+    `sockets`, which `run_job` makes. `tempo` is that of real time, None for lockstep. `place` is
+    None where all is on this machine.
     """
 
     setup: Setup
@@ -35,6 +36,7 @@ class Job(msgspec.Struct, frozen=True):
     port: int | None
     tempo: Tempo | None = None
     place: HostPlace | None = None
+    sockets: str | None = None
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):

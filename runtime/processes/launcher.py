@@ -19,6 +19,7 @@ from concord.nodes.tempo import Tempo
 from concord.runtime.disk import NotWritten
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import NetworkAddresses, write_network
+from concord.runtime.network.sockets import socket_folder
 from concord.runtime.processes.job import Happened, Job
 from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.setup import Setup
@@ -46,7 +47,7 @@ def run_processes(
         setup: the compiled scenario.
         run: unique name of the run, part of every zenoh key.
         recording: the MCAP file to write.
-        port: first of consecutive loopback ports, or None for free ones.
+        port: first of consecutive loopback ports, 0 for free ones, or None for unix sockets.
         on_event: told when the network is ready and as steps complete.
         tempo: that of real time, None for lockstep.
 
@@ -64,6 +65,10 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: the job cannot be done.
     """
+    if job.place is None and job.port is None and job.sockets is None:
+        with socket_folder() as sockets:
+            run_job(msgspec.structs.replace(job, sockets=sockets), folder, on_event)
+        return
     child = subprocess.Popen(
         fresh_command("concord.runtime.processes.launcher_process"),
         stdin=subprocess.PIPE,

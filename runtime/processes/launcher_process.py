@@ -8,6 +8,7 @@ ends everything.
 import contextlib
 import gc
 import os
+import shutil
 import signal
 import sys
 import time
@@ -27,10 +28,12 @@ from concord.runtime.network.links import (
     free_ports,
     links_to_routers,
     names,
+    on_loopback,
     plan_links,
     ports_from,
     subscribers_endpoints,
 )
+from concord.runtime.network.sockets import in_folder
 from concord.runtime.processes.job import Happened, HostPlace, Job, NodeEnded, Order
 from concord.runtime.processes.roles import be_environment, be_node, be_recorder, be_router
 from concord.runtime.processes.supervisor import (
@@ -67,11 +70,16 @@ def main() -> None:
             if _serve(job, plan) is not End.TRY_AGAIN:
                 return
         if job.place is None:
-            tell(Happened("failed", detail=f"no free ports in {_LAUNCH_TRIES} tries"))
+            where = "free ports" if job.sockets is None else f"sockets in {job.sockets}"
+            tell(Happened("failed", detail=f"no {where} in {_LAUNCH_TRIES} tries"))
         else:
             tell(Happened("failed", detail=f"no router answers at {', '.join(job.place.connect)}"))
     except ValueError as error:
         tell(Happened("refused", detail=str(error)))
+    finally:
+        if job.sockets is not None:
+            # The launcher may be gone, and its folder of sockets with us alone.
+            shutil.rmtree(job.sockets, ignore_errors=True)
 
 
 class _Plan(msgspec.Struct):
@@ -91,10 +99,12 @@ def _plans(job: Job) -> Iterator[_Plan]:
     everybody = [RECORDER, ENVIRONMENT, *map(str, range(job.setup.scenario.nodes))]
     wanted = names(job.setup.neighbours)
     for _ in range(_LAUNCH_TRIES):
-        ports = free_ports(wanted) if job.port is None else ports_from(job.port, wanted)
-        links = plan_links(job.setup.neighbours, ports)
-        router = f"tcp/127.0.0.1:{ports[ROUTER]}" if ROUTER in ports else None
-        yield _Plan(everybody, links, subscribers_endpoints(ports), router)
+        if job.sockets is not None:
+            at = in_folder(job.sockets, wanted)
+        else:
+            at = on_loopback(ports_from(job.port, wanted) if job.port else free_ports(wanted))
+        links = plan_links(job.setup.neighbours, at)
+        yield _Plan(everybody, links, subscribers_endpoints(at), at.get(ROUTER))
 
 
 def _at(place: HostPlace) -> _Plan:

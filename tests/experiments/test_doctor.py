@@ -3,6 +3,7 @@
 import errno
 import resource
 import socket
+import tempfile
 from pathlib import Path
 
 import msgspec
@@ -56,13 +57,15 @@ def test_the_limit_of_open_files(limit: int, verdict: Verdict):
     assert doctor_machine.files(16, limit).verdict is verdict
 
 
-def test_no_ports_is_a_failure(monkeypatch: pytest.MonkeyPatch):
-    def none(names):
-        raise OSError(errno.EADDRNOTAVAIL, "none left")
+def test_no_folder_for_sockets_is_a_failure(monkeypatch: pytest.MonkeyPatch):
+    def none(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "none left")
 
-    assert doctor_machine.ports(8).verdict is OK
-    monkeypatch.setattr(doctor_machine, "free_ports", none)
-    assert doctor_machine.ports(8).verdict is FAILING
+    assert doctor_machine.sockets().verdict is OK
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", none)
+    found = doctor_machine.sockets()
+    assert found.verdict is FAILING
+    assert found.cure
 
 
 def test_a_taken_page_port_is_a_warning():
@@ -180,4 +183,4 @@ def test_this_machine_in_a_fresh_process(tmp_path: Path):
     assert said["healthy"] is (done.returncode == 0)
     seen = {one["subject"]: one for one in said["findings"]}
     assert seen["zenoh"]["verdict"] == "ok", seen["zenoh"]
-    assert {"ports", "memory", "threads", "clock", "disk", "browser", "page"} <= set(seen)
+    assert {"sockets", "memory", "threads", "clock", "disk", "browser", "page"} <= set(seen)

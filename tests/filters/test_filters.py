@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from concord.filters.adaptive import correntropy
 from concord.filters.extended import ExtendedFilter
-from concord.filters.filter import Filter
+from concord.filters.filter import Filter, Linearising
 from concord.filters.gaussian import Gaussian
 from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
@@ -88,6 +88,21 @@ def test_a_wild_reading_does_not_pass_a_gate(name: str):
     np.testing.assert_array_equal(kept.belief.mean, TURN_START.mean)
     np.testing.assert_array_equal(kept.belief.cov, TURN_START.cov)
     assert kept.normalised_innovation_squared > 13.8
+
+
+@pytest.mark.parametrize("own", [SigmaPointFilter(scaled_unscented(5)), ExtendedFilter()])
+def test_a_linearisation_does_not_see_where_bearings_jump(own: Linearising):
+    """The same scene turned by half a circle about the sensor has the slopes turned with it."""
+    turned = np.diag([-1.0, -1.0, -1.0, -1.0, 1.0])
+    x, y = SENSOR_POSITION_M
+    about = np.array([2 * x, 0.0, 2 * y, 0.0, 0.0])
+    east = Gaussian(np.array([x + 300.0, 1.0, y + 2.0, 0.5, 0.01]), TURN_START.cov)
+    west = Gaussian(about + turned @ east.mean, turned @ east.cov @ turned)
+    one, other = (own.linearise(b, range_bearing, 2, bearing_residual) for b in (east, west))
+    np.testing.assert_allclose(other.slope @ turned, one.slope, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(other.error_cov, one.error_cov, rtol=1e-6, atol=1e-9)
+    jump = other.predicted - one.predicted
+    np.testing.assert_allclose(np.abs(jump), [0.0, np.pi], atol=1e-6)
 
 
 # --- extended ------------------------------------------------------------------------------------

@@ -6,7 +6,13 @@ from hypothesis import strategies as st
 
 from concord.filters.sets.criterion import plain_trace
 from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, squared_radius
-from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, no_readings
+from concord.filters.sets.evidence import (
+    BoundedMotion,
+    Readings,
+    StepReadings,
+    no_readings,
+    taken,
+)
 from concord.filters.sets.joint_noise import LinearReadings
 from concord.filters.sets.tight_estimator import conditioned_step
 from concord.nodes.rules.lane_rule import LocalStep
@@ -136,3 +142,18 @@ def test_readings_that_contradict_are_left_out_together():
     assert wrong
     assert kept.factor.tobytes() == own.factor.tobytes()
     assert not joint.known
+
+
+def test_a_reading_that_was_not_taken_says_nothing():
+    """Its row holds for every state, and the other rows stay as they are."""
+    rng = np.random.default_rng(4)
+    values = np.array([0.3, np.nan, -1.0])
+    before = Readings(
+        rng.standard_normal((3, 2)), rng.standard_normal((3, 1, 2)), values, np.full(3, 0.2)
+    )
+    after = taken(before)
+    for one, other in zip(before[:4], after[:4], strict=True):
+        np.testing.assert_array_equal(other[[0, 2]], one[[0, 2]])
+    state = 1e6 * rng.standard_normal(2)
+    assert abs(after.values[1] - after.state[1] @ state) <= after.half_widths[1]
+    assert not after.noise[1].any()

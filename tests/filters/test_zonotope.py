@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 
 from concord.filters.sets.ellipsoid import Ellipsoid, squared_radius
 from concord.filters.sets.zonotope import (
@@ -104,10 +105,32 @@ def test_lanes_are_independent():
     for i, alone in enumerate(lanes):
         lane = reduced(together, 5)
         np.testing.assert_array_equal(lane.generators[i], reduced(alone, 5).generators)
+        box = parallelotope(together).generators[i]
+        np.testing.assert_allclose(box, parallelotope(alone).generators, rtol=1e-12)
         pair = intersection(together, together)
         np.testing.assert_allclose(
             half_widths(Zonotope(pair.centre[i], pair.generators[i])), half_widths(alone), rtol=1e-9
         )
+
+
+def test_an_intersection_has_the_least_squares_of_all_weights():
+    """A search over all matrices W in W x + (I - W) x finds nothing smaller."""
+    rng = np.random.default_rng(2)
+    flat, tall = np.diag([3.0, 0.2]), np.diag([0.3, 2.0])
+    own = Zonotope(np.zeros(2), np.hstack((flat, 0.1 * rng.standard_normal((2, 2)))))
+    other = Zonotope(np.full(2, 0.05), np.hstack((tall, 0.1 * rng.standard_normal((2, 3)))))
+
+    def squares(weight: np.ndarray) -> float:
+        matrix = weight.reshape(2, 2)
+        rest = np.eye(2) - matrix
+        return sum(
+            float(np.sum(part**2)) for part in (matrix @ own.generators, rest @ other.generators)
+        )
+
+    best = minimize(squares, np.full(4, 0.5), method="BFGS", options={"gtol": 1e-10})
+    found = float(np.sum(intersection(own, other).generators ** 2))
+    assert found == pytest.approx(best.fun, rel=1e-9)
+    assert found < 0.1 * np.sum(own.generators**2)
 
 
 def test_a_point_out_of_reach_has_no_gauge():

@@ -50,7 +50,7 @@ from concord.scenarios.preparation import fingerprint
 from concord.scenarios.setup import Setup
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
 mark, count = fingerprint(setup), setup.scenario.nodes
-links = plan_links(setup.neighbours, {ports})
+links = plan_links(setup.neighbours, on_loopback({ports}))
 one, old, new = {detour}
 links[one] = links[one]._replace(connect=tuple(new if c == old else c for c in links[one].connect))
 supervisor, (quiet, hold) = Supervisor(), os.pipe()

@@ -217,7 +217,7 @@ def test_a_port_that_somebody_takes_first_is_no_end(
 ):
     """Between choosing ports and listening at them, another program was faster."""
     setup = small(graph=graph, nodes=nodes, steps=5)
-    job = msgspec.json.encode(Job(setup, "taken", str(tmp_path / "run.mcap"), None))
+    job = msgspec.json.encode(Job(setup, "taken", str(tmp_path / "run.mcap"), 0))
     command = [sys.executable, "-c", TAKEN_ONCE.format(which=which)]
     with family(command, tmp_path, interactive=True) as child:
         assert child.process.stdin is not None

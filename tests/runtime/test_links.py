@@ -14,6 +14,7 @@ from concord.runtime.network.links import (
     WATCH,
     free_ports,
     names,
+    on_loopback,
     peers_of,
     plan_links,
     ports_from,
@@ -29,7 +30,7 @@ def neighbours_of(adjacency: Adjacency) -> list[list[int]]:
 
 def planned(neighbours: list[list[int]]):
     ports = {name: 7000 + place for place, name in enumerate(names(neighbours))}
-    return plan_links(neighbours, ports), ports
+    return plan_links(neighbours, on_loopback(ports)), ports
 
 
 @given(graphs(most=8), st.randoms(use_true_random=False))

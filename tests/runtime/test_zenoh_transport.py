@@ -36,7 +36,7 @@ def said_by(text: str, folder: Path) -> list[str]:
 BARRIER = """
 from concord.runtime.network.zenoh_transport import Transport
 neighbours = {neighbours}
-links = plan_links(neighbours, free_ports(names(neighbours)))
+links = plan_links(neighbours, on_loopback(free_ports(names(neighbours))))
 def meet(me):
     heard = [str(j) for j in neighbours[me]]
     transport = Transport("barrier", links[str(me)], [f"n/{{j}}" for j in heard], 64)
@@ -136,7 +136,7 @@ from concord.scenarios.preparation import prepare
 import msgspec
 defaults = definition_named("oscillator").defaults
 setup = prepare(defaults.with_(nodes=2, graph="path", steps=3))
-links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
+links = plan_links(setup.neighbours, on_loopback(free_ports(names(setup.neighbours))))
 def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1, SHARE_FRAMES)
     run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3, SHARE_FRAMES))
@@ -168,7 +168,7 @@ FULL_QUEUE = """
 from concord.runtime.processes.overflow import Overflow
 from concord.runtime.processes.node.lockstep_inbox import NODE_QUEUE
 from concord.runtime.network.zenoh_transport import Transport
-links = plan_links([[1], [0]], free_ports(names([[1], [0]])))
+links = plan_links([[1], [0]], on_loopback(free_ports(names([[1], [0]]))))
 def talk():
     transport = Transport("full", links["0"]._replace(connect=()), [], 8)
     transport.join("0", ["1"])

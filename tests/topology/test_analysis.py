@@ -131,6 +131,13 @@ def test_a_graph_in_pieces_says_so():
     require_connected(ring(5))
 
 
+def test_a_directed_graph_that_does_not_lead_everywhere_says_so():
+    """Node 1 hears node 0, but not the other way: two pieces, though they are linked."""
+    one_way = csr_array(np.array([[0, 0], [1, 0]], dtype=bool))
+    with pytest.raises(ValueError, match="2 pieces that do not all hear all"):
+        require_connected(one_way)
+
+
 def test_many_pieces_do_not_flood_the_message():
     with pytest.raises(ValueError, match=r"500 pieces.*and 492 more") as caught:
         require_connected(csr_array((500, 500), dtype=bool))

@@ -108,6 +108,15 @@ def test_what_is_measured_is_what_is_predicted(name, delivery, together):
     assert measured.high - measured.low < 0.03
 
 
+@pytest.mark.parametrize(
+    ("factor", "most", "rounds"),
+    [(0.0, 500, 60), (0.9, 500, 300), (0.999, 500, 500), (1.0, 70, 70)],
+)
+def test_rounds_to_settle_lie_between_sixty_and_the_most(factor: float, most: int, rounds: int):
+    assert rounds_to_settle(factor, most) == pytest.approx(rounds, abs=1)
+    assert rounds_to_settle(factor, most) <= most
+
+
 def test_agreement_at_once_is_measured_as_zero():
     links = links_with(metropolis(complete(5)), 1.0)
     generator = np.random.default_rng(1)
