@@ -9,6 +9,8 @@ what the sensors really do.
 from collections.abc import Callable
 from functools import cache
 
+import numpy as np
+
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import read_car, read_log
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
@@ -26,6 +28,7 @@ from concord.plants.vehicle.network import (
 from concord.plants.vehicle.parameters import Car
 from concord.plants.vehicle.replay import replayed
 from concord.plants.vehicle.sensors import SensorError
+from concord.plants.vehicle.validity import outside_model
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
@@ -126,6 +129,10 @@ def _reference_cov(scenario: Scenario) -> float:
     return 0.0 if data is None else _slip_variance(data)
 
 
+def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
+    return outside_model(_model(scenario).single_track, states)
+
+
 def _check(scenario: Scenario) -> None:
     if scenario.nodes != len(NODES):
         raise ValueError(
@@ -168,4 +175,5 @@ DEFINITION = ScenarioDefinition(
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=_all_steps,
     reference_cov=_reference_cov,
+    outside=_outside,
 )

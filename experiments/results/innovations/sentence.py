@@ -88,6 +88,20 @@ def innovation_verdict(
     return f"{_lead(diagnosis.cause, test)}: {said}"
 
 
+def outside_in_words(shares: dict[str, float] | None) -> str:
+    """The end of a verdict: how much of the drive is outside the model, and why."""
+    if not shares or not shares["any"]:
+        return ""
+    why = ", ".join(
+        f"{name}: {_percent(share)}" for name, share in shares.items() if share and name != "any"
+    )
+    return f"; not judged: {_percent(shares['any'])} of the drive, outside the model ({why})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
 def label(channel: Channel) -> str:
     """Return a channel with its node: "node 2's yaw rate"."""
     return f"node {channel.node}'s {channel.name}"
