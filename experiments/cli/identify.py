@@ -24,8 +24,8 @@ from concord.plants.vehicle.drive_log import (
     COLUMNS,
     DRIVE,
     channels_of,
-    columns_from_toml,
     even_drive,
+    logs_road_wheels,
     read_log,
     write_drive,
 )
@@ -157,17 +157,11 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         tyres.car,
         _TYRES[options.tyre],
         friction=options.friction,
-        ratio=options.data is not None and not _logs_road_wheels(options.data),
+        ratio=options.data is not None and not logs_road_wheels(options.data),
         time_step_s=TIME_STEP_S,
         min_speed_m_s=options.min_speed,
         on_step=lambda: _say("."),
     )
-
-
-def _logs_road_wheels(folder: Path) -> bool:
-    """Whether a log has the angle of the road wheels, and not that of the steering wheel."""
-    columns = columns_from_toml((folder / COLUMNS).read_text(encoding="utf-8-sig"))
-    return columns.steering is not None
 
 
 def _say(sign: str) -> None:

@@ -151,6 +151,30 @@ def likelihood(
     return totals.likelihood()
 
 
+def values_at(
+    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+) -> np.ndarray:
+    """The negative logarithm of the likelihood (lanes,) of cars so many spreads (lanes, p) away."""
+    filtered = _Filter(log, car, car_with(car, sought, spreads), tyre, len(spreads))
+    total = np.zeros(len(spreads))
+    for innovation, cov in filtered.blocks():
+        total += _terms(*_filled(innovation, cov))[0].sum(axis=0)
+    return total
+
+
+def _filled(innovation: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations (..., m) and covariances with 0 and the identity for what was not taken."""
+    missing = np.isnan(innovation)
+    either = missing[..., :, None] | missing[..., None, :]
+    return np.where(missing, 0.0, innovation), np.where(either, np.eye(missing.shape[-1]), cov)
+
+
+def _terms(v: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Terms (...) of the negative logarithm of the likelihood, and squared innovations (...)."""
+    squares = np.einsum("...i,...i->...", v, np.linalg.solve(s, v[..., None])[..., 0])
+    return 0.5 * (np.linalg.slogdet(s)[1] + squares), squares
+
+
 class _Lanes(NamedTuple):
     """Lanes of one batch: lane 0 has the parameters themselves, lane 1 + i parameter i moved by
     little. In the last lanes the readings of one sensor, of those with `delays` (q,), are a sample
@@ -191,10 +215,7 @@ class _Sums:
 
     def add(self, innovation: np.ndarray, cov: np.ndarray) -> None:
         """Add innovations (B, lanes, m) with covariances (B, lanes, m, m), NaN for none."""
-        missing = np.isnan(innovation)
-        either = missing[..., :, None] | missing[..., None, :]
-        v = np.where(missing, 0.0, innovation)
-        s = np.where(either, np.eye(v.shape[-1]), cov)
+        v, s = _filled(innovation, cov)
         dv, ds = self._lanes.slopes(v), self._lanes.slopes(s)
         inverse = np.linalg.inv(s[:, 0])
         weighted = np.einsum("bij,bj->bi", inverse, v[:, 0])
@@ -204,14 +225,13 @@ class _Sums:
         self._information += 0.5 * np.tensordot(turned, turned.mT, ((0, 2, 3), (0, 2, 3)))
         of_dv = np.einsum("bij,bpj->bpi", inverse, dv)
         self._information += np.tensordot(dv, of_dv, ((0, 2), (0, 2)))
-        squares = np.einsum("bli,bli->bl", v, np.linalg.solve(s, v[..., None])[..., 0])
-        values = 0.5 * (np.linalg.slogdet(s)[1] + squares)
+        values, squares = _terms(v, s)
         ahead, back = np.split(values[:, 1 + scores.shape[1] :], 2, axis=1)
         scores[:, self._lanes.delays] = (ahead - back) / (2 * self._lanes.samples)
         self._scores.append(scores)
         self._values += values.sum(axis=0)
         self._squares += float(squares[:, 0].sum())
-        self._freedoms += int(np.logical_not(missing[:, 0]).sum())
+        self._freedoms += int(np.isfinite(innovation[:, 0]).sum())
 
     def likelihood(self) -> Likelihood:
         """The sums; derivatives by delays are differences of the likelihood itself."""

@@ -144,6 +144,25 @@ def columns_from_toml(text: str) -> ColumnMap:
     return columns
 
 
+def logs_road_wheels(folder: str | Path) -> bool:
+    """Return whether a log has the angle of the road wheels, and not that of the steering wheel.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    return _from_toml(Path(folder) / COLUMNS, columns_from_toml).steering is not None
+
+
+def logged_channels(folder: str | Path) -> frozenset[str]:
+    """Return the fields of `ColumnMap` that a log has a column for.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    columns = set(_from_toml(Path(folder) / COLUMNS, columns_from_toml).columns)
+    return frozenset(columns | ({"steering"} if "steering_wheel" in columns else set()))
+
+
 def speeds_in(channels: Mapping[str, ChannelReadings]) -> tuple[str, ...]:
     """Return the names of the channels whose mean is the speed."""
     return ("speed",) if "speed" in channels else ("rear_left_wheel", "rear_right_wheel")

@@ -12,7 +12,8 @@ from functools import cache
 import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.drive_log import read_car, read_log
+from concord.plants.vehicle.corrections import channels_of_nodes
+from concord.plants.vehicle.drive_log import logged_channels, read_car, read_log
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
@@ -129,6 +130,19 @@ def _reference_cov(scenario: Scenario) -> float:
     return 0.0 if data is None else _slip_variance(data)
 
 
+@cache
+def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
+    there = logged_channels(data)
+    of_nodes = enumerate(channels_of_nodes(read_car(data)))
+    return tuple(node for node, names in of_nodes if there.isdisjoint(names))
+
+
+def _without_data(scenario: Scenario) -> tuple[int, ...]:
+    """Nodes whose sensor a log has no column of."""
+    data = vehicle_of(scenario).data
+    return () if data is None else _logged_nodes_without_data(data)
+
+
 def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
     return outside_model(_model(scenario).single_track, states)
 
@@ -175,5 +189,6 @@ DEFINITION = ScenarioDefinition(
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=_all_steps,
     reference_cov=_reference_cov,
+    without_data=_without_data,
     outside=_outside,
 )

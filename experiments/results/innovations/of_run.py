@@ -18,6 +18,7 @@ from concord.experiments.results.innovations.figures import (
     nis_per_step,
     outside_model,
 )
+from concord.experiments.results.innovations.log_cause import log_cause
 from concord.experiments.results.innovations.sentence import (
     ESTIMATES_CONFIDENCE,
     innovation_verdict,
@@ -97,7 +98,8 @@ def judged(
     figures = msgspec.structs.replace(figures, outside=outside.shares)
     nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
     suspicion = _interval_of(nees, 0.95)
-    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion)
+    named = log_cause(setup, counted[0]) if len(counted) == 1 else ""
+    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, named)
     return figures, sentence + outside_in_words(outside.shares)
 
 
