@@ -7,6 +7,7 @@ what the sensors really do.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -116,7 +117,19 @@ def _model(scenario: Scenario) -> DrivenCar:
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    return sensor(node, _model(scenario).single_track)
+    own = sensor(node, _model(scenario).single_track)
+    return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
+
+
+@cache
+def _gate(probability: float, channels: int) -> float | None:
+    """Chi-square threshold of a reading; none for no gate."""
+    if probability == 0:
+        return None
+    # Only here: a node without a gate need not wait for it.
+    from scipy.special import chdtri
+
+    return float(chdtri(channels, probability))
 
 
 @cache
