@@ -74,6 +74,16 @@ class Schedule(msgspec.Struct, frozen=True):
             return (Group(static, dynamic),)
         return _slot_by_slot(static, dynamic)
 
+    def of_nodes(self, members: Sequence[int], nodes: int) -> "Schedule":
+        """The same schedule where its node i is `members[i]` of so many nodes."""
+        static, contenders = (
+            tuple(tuple(members[node] for node in row) for row in table)
+            for table in (self.static_table, self.contender_table)
+        )
+        return msgspec.structs.replace(
+            self, nodes=nodes, static_table=static, contender_table=contenders
+        )
+
     @property
     def period(self) -> int:
         """Cycles after which the whole schedule repeats."""

@@ -122,8 +122,25 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
     arbiter_named(arbiter_of(chosen))
-    schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
+    senders = senders_of(scenario, neighbours)
+    heard = [neighbours[node] for node in senders] if neighbours else ()
+    schedule = _SCHEDULES[chosen.name](len(senders), occupancy_of(chosen), heard)
+    if len(senders) < scenario.nodes:
+        schedule = schedule.of_nodes(senders, scenario.nodes)
     return _relayed(scenario, schedule)
+
+
+def senders_of(scenario: Scenario, neighbours: Neighbours) -> tuple[int, ...]:
+    """Return the nodes that own slots or contend: all, but those without data where all hear all.
+
+    A node without data has nothing of its own to tell, and no node needs its relay there.
+    """
+    nodes = range(scenario.nodes)
+    mute = definition_of(scenario).without_data(scenario)
+    all_hear_all = bool(neighbours) and all(len(one) == len(nodes) - 1 for one in neighbours)
+    if not all_hear_all or len(mute) == len(nodes):
+        return tuple(nodes)
+    return tuple(node for node in nodes if node not in mute)
 
 
 def _relayed(scenario: Scenario, schedule: Schedule) -> Schedule:

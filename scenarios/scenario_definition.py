@@ -112,6 +112,10 @@ class ScenarioDefinition(NamedTuple):
         baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one
             filter that takes the readings of these nodes; None for the one that model and sensors
             give.
+        without_data: nodes of a scenario to which no reading ever comes. Where all hear all, they
+            send no share and own no slot.
+        outside: (scenario, states (..., n)) -> for which states (...) the model does not hold, by
+            the reason; None for a model that always does.
     """
 
     defaults: Scenario
@@ -130,6 +134,8 @@ class ScenarioDefinition(NamedTuple):
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
     reference_cov: Callable[[Scenario], np.ndarray | float] = lambda _: 0.0
+    without_data: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
+    outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
 
     def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:
         """The sensors of all nodes: one for all where the scenario has such, else one for each."""

@@ -8,7 +8,7 @@ import numpy as np
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled_frame import MAX_WINDOW_STEPS
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import contenders_and_room
+from concord.scenarios.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.labelled import digest_of, latency_steps, window_of
 from concord.scenarios.rules import rule_of
@@ -283,6 +283,8 @@ def _who_is_silent(setup: Setup) -> str:
         senders = map(build_bus(setup).schedule.static_senders, range(_CYCLES))
         if any(len(row) < scenario.nodes for row in senders):
             return f"--slots {schedule.slots}"
+    if without := set(range(scenario.nodes)) - set(senders_of(scenario, setup.neighbours)):
+        return f"nodes without data, {', '.join(map(str, sorted(without)))}"
     if lossy := lossy_links(scenario):
         return lossy
     if (trigger := trigger_of(schedule)) > 0:

@@ -1,10 +1,10 @@
 """`concord identify`: tyres, sensors and process noise of a car from a drive."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,13 +17,16 @@ from concord.experiments.identification.sought import value_at
 from concord.experiments.places import make_folder
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.user_errors import user_errors
+from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import (
     CAR,
     COLUMNS,
     DRIVE,
-    LoggedDrive,
-    columns_from_toml,
-    read_folder,
+    channels_of,
+    even_drive,
+    logs_road_wheels,
+    read_log,
     write_drive,
 )
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
@@ -148,23 +151,17 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
         console.print(line, highlight=False)
 
 
-def _everything(options: IdentifyOptions, given: LoggedDrive, tyres: Identified) -> CarFit:
+def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
     return fit(
-        given.drive,
+        given.channels,
         tyres.car,
         _TYRES[options.tyre],
         friction=options.friction,
-        ratio=options.data is not None and not _logs_road_wheels(options.data),
+        ratio=options.data is not None and not logs_road_wheels(options.data),
         time_step_s=TIME_STEP_S,
         min_speed_m_s=options.min_speed,
         on_step=lambda: _say("."),
     )
-
-
-def _logs_road_wheels(folder: Path) -> bool:
-    """Whether a log has the angle of the road wheels, and not that of the steering wheel."""
-    columns = columns_from_toml((folder / COLUMNS).read_text(encoding="utf-8-sig"))
-    return columns.steering is not None
 
 
 def _say(sign: str) -> None:
@@ -173,7 +170,20 @@ def _say(sign: str) -> None:
         sys.stderr.flush()
 
 
-def _drive(options: IdentifyOptions) -> LoggedDrive:
+class _Given(NamedTuple):
+    """A drive sampled evenly, its readings at their own times, and the car of the file."""
+
+    drive: Drive
+    channels: Mapping[str, ChannelReadings]
+    car: Car
+
+
+def _read(folder: Path) -> _Given:
+    channels, car = read_log(folder)
+    return _Given(even_drive(channels, MODEL_STEP_S), channels, car)
+
+
+def _drive(options: IdentifyOptions) -> _Given:
     if (options.data is None) == (options.manoeuvre is None):
         raise ValueError(
             f"name a drive: --data FOLDER with {DRIVE}, {COLUMNS} and {CAR}, or --manoeuvre "
@@ -185,7 +195,7 @@ def _drive(options: IdentifyOptions) -> LoggedDrive:
                 f"--log {options.log}: writes a simulated drive, but --data {options.data} is a "
                 "log already; leave --log out, or simulate with --manoeuvre"
             )
-        return read_folder(options.data, MODEL_STEP_S)
+        return _read(options.data)
     assert options.manoeuvre is not None, "one of the two was given"
     if options.manoeuvre not in MANOEUVRES:
         raise unknown_name("manoeuvre", options.manoeuvre, MANOEUVRES)
@@ -196,11 +206,11 @@ def _drive(options: IdentifyOptions) -> LoggedDrive:
     true_car = TRUE_CARS[options.car]
     drive = simulate(MANOEUVRES[options.manoeuvre], true_car, _SIMULATED_STEP_S)
     if options.log is None:
-        return LoggedDrive(drive, data_sheet(true_car))
+        return _Given(drive, channels_of(drive), data_sheet(true_car))
     noisy = logged(drive, TEST_CAR, np.random.default_rng(options.seed))
     options.log.mkdir(parents=True)
     write_drive(options.log, noisy, data_sheet(true_car))
-    return read_folder(options.log, MODEL_STEP_S)
+    return _read(options.log)
 
 
 def _require_new(option: str, path: Path) -> None:
@@ -255,7 +265,7 @@ def _known(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _table(findings: Findings, logged: LoggedDrive) -> Table:
+def _table(findings: Findings, logged: _Given) -> Table:
     drive, f = logged.drive, findings
     white = not findings.parameters
     table = Table(

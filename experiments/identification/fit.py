@@ -2,11 +2,13 @@
 
 Method: Fisher scoring with a prior, damped where a step makes the likelihood worse. A parameter
 that is not a noise stays at its value in the file if the drive leaves more than half of its prior
-deviation; then the others are fitted again. Intervals are of 95 % under the model. For what the
-model leaves out, the process noise stands in.
+deviation; then the others are fitted again. Intervals are of 95 %. They have the robust covariance
+M^-1 J M^-1, of the information M and the scatter J of the scores (White 1982, Maximum likelihood
+estimation of misspecified models). So they also hold for errors of the model that look like noise,
+around the parameters that fit best. For what the model leaves out, the process noise stands in.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +20,7 @@ from concord.experiments.identification.likelihood import (
     logged_readings,
 )
 from concord.experiments.identification.sought import Sought, car_with, sought_of, value_at
-from concord.plants.vehicle.drive import Drive
+from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car
 
@@ -62,7 +64,7 @@ class CarFit(NamedTuple):
 
 
 def fit(
-    drive: Drive,
+    channels: Mapping[str, ChannelReadings],
     car: Car,
     tyre: Tyre,
     *,
@@ -72,10 +74,10 @@ def fit(
     min_speed_m_s: float,
     on_step: Callable[[], None] = lambda: None,
 ) -> CarFit:
-    """CarFit a car to a drive, from the values of its file.
+    """Fit a car to a log, from the values of its file.
 
     Args:
-        drive: as logged.
+        channels: readings by the fields of `drive_log.ColumnMap`, each with its own stamp.
         car: the file's values are the means of the priors.
         tyre: law of the lateral force.
         friction, ratio: whether the friction, and the ratio of the steering wheel, are sought.
@@ -83,8 +85,8 @@ def fit(
         min_speed_m_s: slower parts do not count.
         on_step: is called before each step.
     """
-    every = sought_of(drive, car, friction=friction, ratio=ratio)
-    log = logged_readings(drive, car, time_step_s, min_speed_m_s)
+    every = sought_of(channels, car, friction=friction, ratio=ratio)
+    log = logged_readings(channels, car, time_step_s, min_speed_m_s)
 
     def of(kept: np.ndarray) -> Callable[[np.ndarray], Likelihood]:
         some = tuple(one for one, keep in zip(every, kept, strict=True) if keep)
@@ -95,7 +97,7 @@ def fit(
 
         return of_some
 
-    samples = np.array([drive.time_step_s / one.spread if one.is_delay else 0.0 for one in every])
+    samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in every])
     kept = np.ones(len(every), dtype=bool)
     best = _greatest(of(kept), np.zeros(len(every)), samples)
     first, told = best.first, _told(every, _precision(best.likelihood))
@@ -104,11 +106,14 @@ def fit(
         best = _greatest(of(kept), best.spreads[kept], samples[kept])
     spreads = np.zeros(len(every))
     spreads[kept] = best.spreads
-    std = np.full(len(every), np.inf)
-    std[kept] = np.sqrt(np.diagonal(np.linalg.inv(_precision(best.likelihood))))
+    std, robust = np.full((2, len(every)), np.inf)
+    cov = np.linalg.inv(_precision(best.likelihood))
+    std[kept] = np.sqrt(np.diagonal(cov))
+    scatter = best.likelihood.scatter + np.eye(len(cov))
+    robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
     found = tuple(
         _found(one, value_at(car, one.path), *at)
-        for one, *at in zip(every, spreads, std, strict=True)
+        for one, *at in zip(every, spreads, std, robust, strict=True)
     )
     after = car_with(car, every, spreads)
     return CarFit(
@@ -213,11 +218,11 @@ def _told(every: tuple[Sought, ...], precision: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _found(one: Sought, before: float, spreads: float, std: float) -> FoundParameter:
+def _found(one: Sought, before: float, spreads: float, std: float, robust: float) -> FoundParameter:
     if np.isinf(std):
         return FoundParameter(one, before, before, np.nan, np.nan, False)
     low, value, high = (
-        float(one.value(before, spreads + by * std)) for by in (-_NORMAL_95, 0.0, _NORMAL_95)
+        float(one.value(before, spreads + by * robust)) for by in (-_NORMAL_95, 0.0, _NORMAL_95)
     )
     if std > SEEN:
         return FoundParameter(one, before, value, 0.0, high, False)

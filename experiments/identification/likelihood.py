@@ -11,7 +11,7 @@ Source: Gupta and Mehra (1974), Computational aspects of maximum likelihood esti
 in sensitivity function calculations. Derivatives are differences between lanes of one batch.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -22,8 +22,20 @@ from concord.experiments.identification.sought import Sought, car_with, process_
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
-from concord.plants.vehicle.corrections import earlier
-from concord.plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
+from concord.plants.angles import wrapped
+from concord.plants.recorded.channels import (
+    ChannelReadings,
+    grid_over,
+    interpolated,
+    readings_by_step,
+)
+from concord.plants.vehicle.corrections import (
+    SENSORS_OF_NODES,
+    channels_of_nodes,
+    earlier,
+    stamped,
+)
+from concord.plants.vehicle.drive_log import speeds_in
 from concord.plants.vehicle.model import SingleTrack, Tyre, axles_of
 from concord.plants.vehicle.network import (
     PRIOR_STD,
@@ -34,6 +46,7 @@ from concord.plants.vehicle.network import (
     sensor,
 )
 from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.replay import start_of
 
 DIFFERENCE = 1e-5
 """Of a parameter, in spreads."""
@@ -41,19 +54,17 @@ ENDS_S = 0.25
 """Innovations so near to the ends do not count: delays move readings across the ends."""
 BLOCK_SAMPLES = 200
 """Innovations that are kept at a time."""
-_SENSOR_OF_CHANNEL = (
-    "wheel_speed",
-    "wheel_speed",
-    "yaw_rate",
-    "lateral_acceleration",
-    "longitudinal_acceleration",
-    "steering",
-    "side_slip",
-)
+CORRELATED_S = 0.25
+"""Scores that are so near count as correlated: the time in which errors of the model change."""
+_SENSORS = (*(name for names in SENSORS_OF_NODES for name in names), "side_slip")
+_COURSE = _SENSORS.index("course")
 
 
 class Likelihood(NamedTuple):
     """Negative logarithm of the likelihood; gradient (p,) and information (p, p) in spreads.
+
+    `scatter` (p, p) is the covariance of the gradient as the scores of the samples have it.
+    Information is equal to it where the model is right.
 
     The information of a delay is that of a smooth curve through the readings; the second
     derivatives by delays, `bends` (p,), have their roughness too, and are 0 for all else. `nis` is
@@ -64,6 +75,7 @@ class Likelihood(NamedTuple):
     gradient: np.ndarray
     information: np.ndarray
     bends: np.ndarray
+    scatter: np.ndarray
     nis: float
     freedoms: int
 
@@ -73,53 +85,52 @@ class LoggedReadings:
     """A drive as the filter takes it.
 
     Attributes:
-        readings: (samples, m), as logged, of the m channels that the log has; NaN for nothing.
+        readings: (steps, m), each at the step next to its stamp, NaN for nothing. A channel is
+            there as often as a step has several readings of it.
         channels: (m,), which ones they are.
-        counted: (samples,), whether innovations count: the car is fast enough.
-        at: (samples,), the step of a run next to each sample.
+        counted: (steps,), whether innovations count: the car is fast enough.
         prior_mean: (6,).
-        sample_s, time_step_s: of the log, and of a run.
+        time_step_s: of a run.
     """
 
     readings: np.ndarray
     channels: tuple[int, ...]
     counted: np.ndarray
-    at: np.ndarray
     prior_mean: np.ndarray
-    sample_s: float
     time_step_s: float
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """The sensor of each channel."""
-        return tuple(_SENSOR_OF_CHANNEL[channel] for channel in self.channels)
+        return tuple(_SENSORS[channel] for channel in self.channels)
 
 
 def logged_readings(
-    drive: Drive, car: Car, time_step_s: float, min_speed_m_s: float
+    channels: Mapping[str, ChannelReadings], car: Car, time_step_s: float, min_speed_m_s: float
 ) -> LoggedReadings:
-    """The readings of a drive; the car says which wheels are not driven."""
-    free = REAR_LEFT if car.driven_axle == "front" else FRONT_LEFT
-    every = np.column_stack(
-        [
-            drive.wheel_speed_m_s[:, free : free + 2],
-            drive.yaw_rate_rad_s,
-            drive.lateral_acceleration_m_s2,
-            drive.longitudinal_acceleration_m_s2,
-            drive.steering_rad,
-            drive.side_slip_rad,
-        ]
-    )
-    start = [drive.yaw_rate_rad_s[0], 0.0, drive.speed_m_s[0], 0.0, drive.steering_rad[0], 0.0]
-    there = np.flatnonzero(np.isfinite(every).any(axis=0))
+    """The readings of a log, each once, at the steps at which a run has them.
+
+    The car says which wheels are not driven, and by how much the stamps of sensors are late.
+    """
+    channels = stamped(channels, car.sensors)
+    grid = grid_over(channels, time_step_s)
+    names = (*(name for names in channels_of_nodes(car) for name in names), "side_slip")
+    columns, there = [], []
+    for place, name in enumerate(names):
+        if name in channels and len(channels[name].values):
+            read = channels[name]
+            if place == _COURSE:
+                read = read._replace(values=np.unwrap(read.values))
+            columns.append(readings_by_step(read, grid))
+            there += [place] * columns[-1].shape[1]
+    speed = np.mean([interpolated(channels[name], grid) for name in speeds_in(channels)], axis=0)
+    since_s = time_step_s * np.arange(grid.steps)
     return LoggedReadings(
-        every[:, there],
-        tuple(there.tolist()),
-        (np.nan_to_num(drive.speed_m_s) >= min_speed_m_s)
-        & (np.minimum(drive.time_s, drive.time_s[-1] - drive.time_s) >= ENDS_S),
-        np.round(drive.time_s / time_step_s).astype(int),
-        np.nan_to_num(start),
-        drive.time_step_s,
+        np.concatenate(columns, axis=1),
+        tuple(there),
+        (np.nan_to_num(speed) >= min_speed_m_s)
+        & (np.minimum(since_s, since_s[-1] - since_s) >= ENDS_S),
+        start_of(channels),
         time_step_s,
     )
 
@@ -131,13 +142,37 @@ def likelihood(
 
     Delays count as the whole samples next to them, which is exact: the readings move by so many.
     """
-    lanes = _Lanes.of(sought, log.sample_s)
+    lanes = _Lanes.of(sought, log.time_step_s)
     moved = spreads + lanes.moved
     filtered = _Filter(log, car, car_with(car, sought, moved), tyre, len(moved))
-    totals = _Sums(lanes)
+    totals = _Sums(lanes, round(CORRELATED_S / log.time_step_s))
     for innovation, cov in filtered.blocks():
         totals.add(innovation, cov)
     return totals.likelihood()
+
+
+def values_at(
+    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+) -> np.ndarray:
+    """The negative logarithm of the likelihood (lanes,) of cars so many spreads (lanes, p) away."""
+    filtered = _Filter(log, car, car_with(car, sought, spreads), tyre, len(spreads))
+    total = np.zeros(len(spreads))
+    for innovation, cov in filtered.blocks():
+        total += _terms(*_filled(innovation, cov))[0].sum(axis=0)
+    return total
+
+
+def _filled(innovation: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations (..., m) and covariances with 0 and the identity for what was not taken."""
+    missing = np.isnan(innovation)
+    either = missing[..., :, None] | missing[..., None, :]
+    return np.where(missing, 0.0, innovation), np.where(either, np.eye(missing.shape[-1]), cov)
+
+
+def _terms(v: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Terms (...) of the negative logarithm of the likelihood, and squared innovations (...)."""
+    squares = np.einsum("...i,...i->...", v, np.linalg.solve(s, v[..., None])[..., 0])
+    return 0.5 * (np.linalg.slogdet(s)[1] + squares), squares
 
 
 class _Lanes(NamedTuple):
@@ -170,43 +205,63 @@ class _Lanes(NamedTuple):
 class _Sums:
     """The sums over the innovations of a drive."""
 
-    def __init__(self, lanes: _Lanes) -> None:
+    def __init__(self, lanes: _Lanes, correlated: int) -> None:
         count = lanes.moved.shape[1]
-        self._lanes, self._squares, self._freedoms = lanes, 0.0, 0
-        self._gradient, self._information = np.zeros(count), np.zeros((count, count))
+        self._lanes, self._correlated = lanes, correlated
+        self._squares, self._freedoms = 0.0, 0
+        self._information = np.zeros((count, count))
+        self._scores: list[np.ndarray] = []
         self._values = np.zeros(len(lanes.moved))
 
     def add(self, innovation: np.ndarray, cov: np.ndarray) -> None:
         """Add innovations (B, lanes, m) with covariances (B, lanes, m, m), NaN for none."""
-        missing = np.isnan(innovation)
-        either = missing[..., :, None] | missing[..., None, :]
-        v = np.where(missing, 0.0, innovation)
-        s = np.where(either, np.eye(v.shape[-1]), cov)
+        v, s = _filled(innovation, cov)
         dv, ds = self._lanes.slopes(v), self._lanes.slopes(s)
         inverse = np.linalg.inv(s[:, 0])
         weighted = np.einsum("bij,bj->bi", inverse, v[:, 0])
         turned = np.einsum("bij,bpjk->bpik", inverse, ds)
-        self._gradient += 0.5 * np.einsum("bpii->p", turned) + np.einsum("bi,bpi->p", weighted, dv)
-        self._gradient -= 0.5 * np.einsum(
-            "bi,bpi->p", weighted, np.einsum("bpij,bj->bpi", ds, weighted)
-        )
+        scores = 0.5 * np.einsum("bpii->bp", turned) + np.einsum("bi,bpi->bp", weighted, dv)
+        scores -= 0.5 * np.einsum("bi,bpi->bp", weighted, np.einsum("bpij,bj->bpi", ds, weighted))
         self._information += 0.5 * np.tensordot(turned, turned.mT, ((0, 2, 3), (0, 2, 3)))
         of_dv = np.einsum("bij,bpj->bpi", inverse, dv)
         self._information += np.tensordot(dv, of_dv, ((0, 2), (0, 2)))
-        squares = np.einsum("bli,bli->l", v, np.linalg.solve(s, v[..., None])[..., 0])
-        self._values += 0.5 * (np.linalg.slogdet(s)[1].sum(axis=0) + squares)
-        self._squares += float(squares[0])
-        self._freedoms += int(np.logical_not(missing[:, 0]).sum())
+        values, squares = _terms(v, s)
+        ahead, back = np.split(values[:, 1 + scores.shape[1] :], 2, axis=1)
+        scores[:, self._lanes.delays] = (ahead - back) / (2 * self._lanes.samples)
+        self._scores.append(scores)
+        self._values += values.sum(axis=0)
+        self._squares += float(squares[:, 0].sum())
+        self._freedoms += int(np.isfinite(innovation[:, 0]).sum())
 
     def likelihood(self) -> Likelihood:
         """The sums; derivatives by delays are differences of the likelihood itself."""
-        lanes, gradient, count = self._lanes, self._gradient, len(self._gradient)
+        lanes, count = self._lanes, self._lanes.moved.shape[1]
+        scores = np.concatenate(self._scores)
         middle, (ahead, back) = self._values[0], np.split(self._values[1 + count :], 2)
         bends = np.zeros(count)
-        gradient[lanes.delays] = (ahead - back) / (2 * lanes.samples)
         bends[lanes.delays] = (ahead + back - 2 * middle) / lanes.samples**2
-        nis = self._squares / self._freedoms
-        return Likelihood(float(middle), gradient, self._information, bends, nis, self._freedoms)
+        return Likelihood(
+            float(middle),
+            scores.sum(axis=0),
+            self._information,
+            bends,
+            _scatter(scores, self._correlated),
+            self._squares / self._freedoms,
+            self._freedoms,
+        )
+
+
+def _scatter(scores: np.ndarray, lags: int) -> np.ndarray:
+    """The covariance (p, p) of the sum of scores (n, p) that correlate over so many samples.
+
+    Source: Newey and West (1987), A simple, positive semi-definite, heteroskedasticity and
+    autocorrelation consistent covariance matrix.
+    """
+    total = scores.T @ scores
+    for lag in range(1, min(lags, len(scores) - 1) + 1):
+        product = scores[:-lag].T @ scores[lag:]
+        total += (1 - lag / (lags + 1)) * (product + product.T)
+    return total
 
 
 class _Filter:
@@ -216,11 +271,12 @@ class _Filter:
         self, log: LoggedReadings, before: Car, lanes: Car, tyre: Tyre, count: int
     ) -> None:
         self._log, self._count, self._sheets = log, count, lanes.sensors
+        self._before = before.sensors
         track = SingleTrack(lanes, axles_of(lanes), tyre, log.time_step_s)
         self._model = DrivenCar(track)
         self._noise_cov = process_noise_covs(lanes.process_noise, log.time_step_s)
         self._noise_cov = np.broadcast_to(self._noise_cov, (count, 6, 6))
-        self._sensors = [sensor(node, track) for node in range(3)]
+        self._sensors = [sensor(node, track) for node in range(len(SENSORS_OF_NODES))]
         # The log was read with the ratio of the file.
         self._gain = lanes.steering_ratio / before.steering_ratio
         sheets = [getattr(lanes.sensors, name) for name in log.sensors]
@@ -235,14 +291,15 @@ class _Filter:
             np.broadcast_to(log.prior_mean, (self._count, 6)),
             np.broadcast_to(np.diag(np.square(PRIOR_STD)), (self._count, 6, 6)),
         )
-        readings, kept, now = self._readings(), [], 0
-        for at, reading, counts in zip(log.at, readings, log.counted, strict=True):
-            for _ in range(at - now):
+        readings, kept = self._readings(), []
+        for step, (reading, counts) in enumerate(zip(readings, log.counted, strict=True)):
+            if step:
                 belief = predict(belief, transition, self._noise_cov, rule)
-            now = at
             if np.isnan(reading).all():
                 continue
-            found = update(belief, reading, self._measure, self._reading_cov, rule)
+            found = update(
+                belief, reading, self._measure, self._reading_cov, rule, residual=self._residual
+            )
             belief = found.belief
             if counts:
                 kept.append((found.innovation, found.innovation_cov))
@@ -253,11 +310,12 @@ class _Filter:
             yield _stacked(kept)
 
     def _readings(self) -> np.ndarray:
-        """The readings (samples, lanes, m), moved by the delays of each lane."""
+        """The readings (steps, lanes, m), moved by the delays of each lane beyond the file's."""
         log, columns = self._log, []
         for name, logged in zip(log.sensors, log.readings.T, strict=True):
-            delays = np.broadcast_to(getattr(self._sheets, name).delay_s, self._count)
-            samples, lanes = np.unique(delays / log.sample_s, return_inverse=True)
+            delays = getattr(self._sheets, name).delay_s - getattr(self._before, name).delay_s
+            delays = np.broadcast_to(delays, self._count)
+            samples, lanes = np.unique(delays / log.time_step_s, return_inverse=True)
             moved = [earlier(logged, value) for value in samples]
             columns.append(np.stack(moved, axis=-1)[:, lanes])
         return np.stack(columns, axis=-1)
@@ -272,6 +330,13 @@ class _Filter:
         slip += self._sheets.side_slip.offset
         stacked = np.concatenate([*every, slip[..., None]], axis=-1)
         return stacked[..., list(self._log.channels)]
+
+    def _residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """a - b (..., m), a course within (-pi, pi]."""
+        difference = a - b
+        for place in np.flatnonzero(np.equal(self._log.channels, _COURSE)):
+            difference[..., place] = wrapped(difference[..., place])
+        return difference
 
 
 def _stacked(kept: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

@@ -4,14 +4,14 @@ A parameter is counted in spreads from its value in the file, by its logarithm w
 has a meaning. The spread is the standard deviation of a prior: what is believed before the drive.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 
-from concord.plants.vehicle.corrections import FIELDS
-from concord.plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
+from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.corrections import SENSORS_OF_NODES, channels_of_nodes
 from concord.plants.vehicle.parameters import Car, ProcessNoise
 
 S = TypeVar("S", bound=msgspec.Struct)
@@ -27,6 +27,8 @@ _UNITS = {
     "lateral_acceleration": "m/s²",
     "longitudinal_acceleration": "m/s²",
     "steering": "rad",
+    "ground_speed": "m/s",
+    "course": "rad",
     "side_slip": "rad",
 }
 _OFFSETS = {
@@ -39,6 +41,7 @@ _OFFSETS = {
 _SHARED_DELAYS = {
     "wheel speed": ("wheel_speed",),
     "inertial unit": ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
+    "satellite receiver": ("ground_speed", "course"),
     "side slip": ("side_slip",),
 }
 """Sensors that share a delay."""
@@ -87,8 +90,10 @@ class Sought(NamedTuple):
         return start * np.exp(moved) if self.relative else start + moved
 
 
-def sought_of(drive: Drive, car: Car, *, friction: bool, ratio: bool) -> tuple[Sought, ...]:
-    """The parameters that the sensors of a drive could tell.
+def sought_of(
+    channels: Mapping[str, ChannelReadings], car: Car, *, friction: bool, ratio: bool
+) -> tuple[Sought, ...]:
+    """The parameters that the sensors of a log could tell.
 
     The delay of the steering is that of the file, because only differences of delays
     show.
@@ -98,7 +103,13 @@ def sought_of(drive: Drive, car: Car, *, friction: bool, ratio: bool) -> tuple[S
         found.append(Sought("friction", "", ("friction",), _FRICTION, True))
     if ratio:
         found.append(Sought("steering ratio", "", ("steering_ratio",), _RATIO, True))
-    sensors = [name for name in FIELDS if np.isfinite(_readings(drive, car, name)).any()]
+    read = {name for name, readings in channels.items() if len(readings.values)}
+    every = zip(
+        (*sum(SENSORS_OF_NODES, ()), "side_slip"),
+        (*sum(channels_of_nodes(car), ()), "side_slip"),
+        strict=True,
+    )
+    sensors = list(dict.fromkeys(sensor for sensor, channel in every if channel in read))
     arms = (("lateral_acceleration", "accelerometer"), ("side_slip", "slip sensor"))
     for sensor, name in arms:
         if sensor in sensors:
@@ -120,13 +131,6 @@ def sought_of(drive: Drive, car: Car, *, friction: bool, ratio: bool) -> tuple[S
         path = ("process_noise", field)
         found.append(Sought(f"process noise of {name}", unit, path, _PROCESS_NOISE, True))
     return tuple(found)
-
-
-def _readings(drive: Drive, car: Car, sensor: str) -> np.ndarray:
-    """Readings (steps, ...) that filters take: of the wheels, those that are not driven."""
-    values = getattr(drive, FIELDS[sensor])
-    free = REAR_LEFT if car.driven_axle == "front" else FRONT_LEFT
-    return values[:, free : free + 2] if sensor == "wheel_speed" else values
 
 
 def value_at(car: msgspec.Struct, path: Sequence[str]) -> float:

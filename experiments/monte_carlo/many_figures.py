@@ -18,7 +18,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
 from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.innovations import Innovations, innovations_of_all
+from concord.scenarios.innovations import HearsAll, Innovations, innovations_of_all
 from concord.scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
@@ -161,7 +161,8 @@ def _judged(
     """The figures of the innovations, and the verdict, where they were kept."""
     if histories.innovations is None or heard.innovations is None:
         return None, None
-    return judged(histories.setup, histories.innovations, heard.innovations, counted, nees)
+    central = HearsAll(heard.belief, heard.innovations)
+    return judged(histories.setup, histories.innovations, central, counted, nees)
 
 
 def _smoothed(

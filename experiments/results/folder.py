@@ -195,7 +195,7 @@ def write_arrays(
     if trace.past is not None:
         variables |= past_variables(trace.past, ("step",))
     if (found := innovations or run_innovations(setup, trace)) is not None:
-        variables |= innovation_variables(found)
+        variables |= innovation_variables(setup, found)
     variables |= _bus_variables(setup, trace)
     coordinates = {
         "step": np.arange(trace.steps),

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.small_angles import SmallAngles, small_angles
 from concord.papers.adlukf.study import (
     CASES,
     CHANNELS,
@@ -27,7 +28,7 @@ from concord.papers.adlukf.study import (
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import LoggedDrive, read_folder, write_drive
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.model import Tyre, linear_tyre, single_track, tanh_tyre
+from concord.plants.vehicle.model import Tyre, linear_tyre, tanh_tyre
 from concord.plants.vehicle.parameters import Car
 from concord.plants.vehicle.sensors import TEST_CAR, logged
 from concord.plants.vehicle.truth import ESCORT, data_sheet, simulate
@@ -64,8 +65,8 @@ def log_drives(folder: Path, seed: int) -> Logged:
     drive, car = drives[IDENTIFIED_FROM]
     return Logged(
         drives,
-        identify(drive, car, linear_tyre),
-        identify(drive, car, tanh_tyre, seek_friction=True),
+        identify(drive, car, linear_tyre, model=SmallAngles),
+        identify(drive, car, tanh_tyre, seek_friction=True, model=SmallAngles),
     )
 
 
@@ -73,7 +74,7 @@ def estimates(
     drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
     """Return the estimates of each filter for one logged drive: `quantities` (steps, 4)."""
-    model = single_track(car, tyre, drive.time_step_s, np.diag(PROCESS_VARIANCES))
+    model = small_angles(car, tyre, drive.time_step_s, np.diag(PROCESS_VARIANCES))
     readings = np.stack(
         [drive.lateral_acceleration_m_s2, drive.yaw_rate_rad_s, drive.speed_m_s], axis=-1
     )

@@ -20,6 +20,7 @@ from concord.papers.adlukf.drives import DRIVEN, estimates, log_drives
 from concord.papers.adlukf.elsewhere import drive_elsewhere, elsewhere
 from concord.papers.adlukf.figures import DPI, StateTrace, drives_figure, manoeuvre_figure
 from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.small_angles import SmallAngles, small_angles
 from concord.papers.adlukf.study import (
     CASES,
     STATES,
@@ -36,7 +37,7 @@ from concord.papers.kit.figures import save
 from concord.papers.kit.report import Paper, Section
 from concord.papers.kit.traces import write_traces
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.model import linear_tyre, single_track, tanh_tyre
+from concord.plants.vehicle.model import linear_tyre, tanh_tyre
 from concord.plants.vehicle.parameters import BMW_320I
 from concord.plants.vehicle.truth import BMW, simulate
 from concord.plants.vehicle.tyre_identification import identify
@@ -87,8 +88,9 @@ def _sections(folder: Path, seed: int, seeds: int) -> Iterator[Section]:
         BMW_320I,
         tanh_tyre,
         seek_friction=True,
+        model=SmallAngles,
     )
-    saturating = single_track(better.car, tanh_tyre, TIME_STEP_S, study.model.noise_cov)
+    saturating = small_angles(better.car, tanh_tyre, TIME_STEP_S, study.model.noise_cov)
     improved = {
         name: score(study, estimate(study, CONTESTANTS[name], saturating).mean)
         for name in ("CKF", "ADLUKF")

@@ -11,8 +11,9 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.papers.adlukf.filters import Contestant, StepInput
+from concord.papers.adlukf.small_angles import small_angles
 from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.model import SingleTrack, linear_tyre, single_track
+from concord.plants.vehicle.model import SingleTrack, linear_tyre
 from concord.plants.vehicle.parameters import BMW_320I, Car
 from concord.plants.vehicle.sensors import TEST_CAR, draw_errors
 
@@ -97,7 +98,7 @@ def build_study(
     car: Car = BMW_320I,
 ) -> ManoeuvreStudy:
     """The study of drives of equal length; noise from `seed`."""
-    model = single_track(car, linear_tyre, drives[0].time_step_s, np.diag(PROCESS_VARIANCES))
+    model = small_angles(car, linear_tyre, drives[0].time_step_s, np.diag(PROCESS_VARIANCES))
     controls, measurements = [], []
     for number, drive in enumerate(drives):
         stream = partial(_stream, seed, number)

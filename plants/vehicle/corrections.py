@@ -5,26 +5,40 @@ from collections.abc import Mapping
 import numpy as np
 
 from concord.plants.recorded.channels import ChannelReadings
-from concord.plants.vehicle.parameters import SensorSheets
+from concord.plants.vehicle.parameters import Car, SensorSheets
 
 SMOOTHED = 20
 """Half of the window of the smoothing, in samples."""
 
-FIELDS = {
-    "wheel_speed": "wheel_speed_m_s",
-    "yaw_rate": "yaw_rate_rad_s",
-    "lateral_acceleration": "lateral_acceleration_m_s2",
-    "longitudinal_acceleration": "longitudinal_acceleration_m_s2",
-    "steering": "steering_rad",
-    "side_slip": "side_slip_rad",
-}
-"""The field of a drive that holds the readings of a sensor."""
+SENSORS_OF_NODES = (
+    ("wheel_speed", "wheel_speed"),
+    ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
+    ("steering",),
+    ("ground_speed", "course"),
+)
+"""The sensor of each channel of the nodes of `network`, by its name in `SensorSheets`."""
+
+
+def channels_of_nodes(car: Car) -> tuple[tuple[str, ...], ...]:
+    """Return the channel of a log for each of `SENSORS_OF_NODES`; wheels are not driven."""
+    axle = "rear" if car.driven_axle == "front" else "front"
+    return ((f"{axle}_left_wheel", f"{axle}_right_wheel"), *SENSORS_OF_NODES[1:])
 
 
 def corrected(
     channels: Mapping[str, ChannelReadings], sheets: SensorSheets
 ) -> dict[str, ChannelReadings]:
     """Channels stamped without the delays of sensors, and the side slip at the centre of mass."""
+    found = stamped(channels, sheets)
+    if "side_slip" in found:
+        found["side_slip"] = _slip_at_centre(found, sheets)
+    return found
+
+
+def stamped(
+    channels: Mapping[str, ChannelReadings], sheets: SensorSheets
+) -> dict[str, ChannelReadings]:
+    """Channels stamped without the delays of sensors."""
     found = {}
     for name, readings in channels.items():
         sensor = "wheel_speed" if name.endswith("_wheel") else name
@@ -33,8 +47,6 @@ def corrected(
         found[name] = (
             readings._replace(stamps_s=readings.stamps_s - delay_s) if delay_s else readings
         )
-    if "side_slip" in found:
-        found["side_slip"] = _slip_at_centre(found, sheets)
     return found
 
 

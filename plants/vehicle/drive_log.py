@@ -14,6 +14,7 @@ import numpy as np
 
 from concord.plants.recorded.channels import (
     ChannelReadings,
+    channel_of,
     grid_over,
     interpolated,
     mean_by_step,
@@ -143,6 +144,25 @@ def columns_from_toml(text: str) -> ColumnMap:
     return columns
 
 
+def logs_road_wheels(folder: str | Path) -> bool:
+    """Return whether a log has the angle of the road wheels, and not that of the steering wheel.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    return _from_toml(Path(folder) / COLUMNS, columns_from_toml).steering is not None
+
+
+def logged_channels(folder: str | Path) -> frozenset[str]:
+    """Return the fields of `ColumnMap` that a log has a column for.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    columns = set(_from_toml(Path(folder) / COLUMNS, columns_from_toml).columns)
+    return frozenset(columns | ({"steering"} if "steering_wheel" in columns else set()))
+
+
 def speeds_in(channels: Mapping[str, ChannelReadings]) -> tuple[str, ...]:
     """Return the names of the channels whose mean is the speed."""
     return ("speed",) if "speed" in channels else ("rear_left_wheel", "rear_right_wheel")
@@ -181,10 +201,18 @@ def even_drive(channels: Mapping[str, ChannelReadings], longest_step_s: float = 
     )
 
 
-def write_drive(folder: Path, drive: Drive, car: Car) -> None:
-    """Write a drive as a folder that `read_folder` reads; numbers in SI, NaN as empty fields."""
-    quantities = {
-        "time": ("s", drive.time_s),
+def channels_of(drive: Drive) -> dict[str, ChannelReadings]:
+    """Return a drive as the readings of a log, by the fields of `ColumnMap`."""
+    return {
+        name: channel_of(drive.time_s, values)
+        for name, (_, values) in _quantities(drive).items()
+        if np.isfinite(values).any()
+    }
+
+
+def _quantities(drive: Drive) -> dict[str, tuple[str, np.ndarray]]:
+    """Return unit and values of each column of a drive but the time."""
+    return {
         "steering": ("rad", drive.steering_rad),
         "yaw_rate": ("rad/s", drive.yaw_rate_rad_s),
         "speed": ("m/s", drive.speed_m_s),
@@ -196,6 +224,11 @@ def write_drive(folder: Path, drive: Drive, car: Car) -> None:
         "longitudinal_acceleration": ("m/s2", drive.longitudinal_acceleration_m_s2),
         "side_slip": ("rad", drive.side_slip_rad),
     }
+
+
+def write_drive(folder: Path, drive: Drive, car: Car) -> None:
+    """Write a drive as a folder that `read_folder` reads; numbers in SI, NaN as empty fields."""
+    quantities = {"time": ("s", drive.time_s), **_quantities(drive)}
     with (folder / DRIVE).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(quantities)

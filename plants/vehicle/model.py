@@ -1,10 +1,11 @@
 """The single-track model with three degrees of freedom that estimators use, and its tyres.
 
 State [yaw rate rad/s, side slip rad, speed m/s], control [steering rad, acceleration m/s^2], where
-the acceleration is the body accelerometer's, vx' - yaw rate vy. Side slips are small angles.
+the acceleration is the body accelerometer's, vx' - yaw rate vy. Angles may be large: forces turn
+with the road wheels, and slips are arctangents. The driven axle has all of the longitudinal force.
 
-Source: the 3-DOF model that the ADLUKF paper names (its references 21 and 22), as reconstructed in
-docs/vehicle.md, equations 1-5.
+Source: Newton and Euler in the plane of the road; docs/vehicle.md, equations 1-5.
+`papers/adlukf/small_angles.py` has the model of the ADLUKF paper, linear in the angles.
 """
 
 from collections.abc import Callable
@@ -69,16 +70,15 @@ class SingleTrack:
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., 3) one step later under control (..., 2)."""
         assert control is not None, "a car is driven: give steering and acceleration"
-        car = self.car
         yaw_rate, side_slip, speed = (state[..., i] for i in range(3))
-        front, rear = self.axle_forces(state, control[..., STEERING])
-        moment = car.front_axle_m * front - car.rear_axle_m * rear
-        forward = np.maximum(speed, MIN_SPEED_M_S)
+        ahead = control[..., ACCELERATION]
+        lateral, turning = self.accelerations(state, control)
+        cosine, sine = np.cos(side_slip), np.sin(side_slip)
+        swerving = cosine * (cosine * lateral - sine * ahead) / np.maximum(speed, MIN_SPEED_M_S)
         after = np.empty_like(state)
-        after[..., YAW_RATE] = yaw_rate + self.time_step_s * moment / car.yaw_inertia_kg_m2
-        turning = (front + rear) / (car.mass_kg * forward) - yaw_rate
-        after[..., SIDE_SLIP] = side_slip + self.time_step_s * turning
-        driving = yaw_rate * side_slip * speed + control[..., ACCELERATION]
+        after[..., YAW_RATE] = yaw_rate + self.time_step_s * turning
+        after[..., SIDE_SLIP] = side_slip + self.time_step_s * (swerving - yaw_rate)
+        driving = yaw_rate * np.tan(side_slip) * speed + ahead
         after[..., SPEED] = speed + self.time_step_s * driving
         return after
 
@@ -86,34 +86,44 @@ class SingleTrack:
         """Covariance (3, 3) of what a step does not know; the same at every step."""
         return self.noise_cov
 
+    def axle_slips(self, state: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slip angles (...) of front and rear axle in rad: (4)."""
+        slope = np.tan(state[..., SIDE_SLIP])
+        turn = state[..., YAW_RATE] / np.maximum(state[..., SPEED], MIN_SPEED_M_S)
+        front = np.arctan(slope + self.car.front_axle_m * turn) - steering
+        return front, np.arctan(slope - self.car.rear_axle_m * turn)
+
     def axle_forces(self, state: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lateral forces (...) of front and rear axle in N: (3) and (4)."""
-        forward = np.maximum(state[..., SPEED], MIN_SPEED_M_S)
-        turn = state[..., YAW_RATE] / forward
-        front_slip = state[..., SIDE_SLIP] + self.car.front_axle_m * turn - steering
-        rear_slip = state[..., SIDE_SLIP] - self.car.rear_axle_m * turn
+        """Forces (...) across the wheels of front and rear axle in N: (3) and (4)."""
+        front_slip, rear_slip = self.axle_slips(state, steering)
         axles = self.axles
         return (
             self.tyre(front_slip, axles.front_stiffness, axles.front_limit),
             self.tyre(rear_slip, axles.rear_stiffness, axles.rear_limit),
         )
 
-    def lateral_acceleration(self, state: np.ndarray, steering: np.ndarray) -> np.ndarray:
-        """Return the reading of a lateral accelerometer (...), m/s^2."""
-        return self.accelerations(state, steering)[0]
-
     def accelerations(
-        self, state: np.ndarray, steering: np.ndarray
+        self, state: np.ndarray, control: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations (...) of the centre of mass: lateral, m/s^2, and of the yaw, rad/s^2."""
+        """Accelerations (...) of the centre of mass: lateral, m/s^2, and of the yaw, rad/s^2.
+
+        Driven front wheels pull along their own direction; what they need for that has a part
+        across the car.
+        """
+        steering, car = control[..., STEERING], self.car
         front, rear = self.axle_forces(state, steering)
-        moment = self.car.front_axle_m * front - self.car.rear_axle_m * rear
-        return (front + rear) / self.car.mass_kg, moment / self.car.yaw_inertia_kg_m2
+        if car.driven_axle == "front":
+            pulling = car.mass_kg * control[..., ACCELERATION] * np.tan(steering)
+            front = front / np.cos(steering) + pulling
+        else:
+            front = front * np.cos(steering)
+        moment = car.front_axle_m * front - car.rear_axle_m * rear
+        return (front + rear) / car.mass_kg, moment / car.yaw_inertia_kg_m2
 
     def measure(self, state: np.ndarray, control: np.ndarray) -> np.ndarray:
         """Lateral acceleration, yaw rate and speed (..., 3) of states (..., 3): z of (5)."""
         value = np.empty_like(state)
-        value[..., 0] = self.lateral_acceleration(state, control[..., STEERING])
+        value[..., 0] = self.accelerations(state, control)[0]
         value[..., 1] = state[..., YAW_RATE]
         value[..., 2] = state[..., SPEED]
         return value

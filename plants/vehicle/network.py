@@ -134,7 +134,7 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
 
     def front_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.front_track_m * state[..., YAW_RATE]
-        across = state[..., SPEED] * state[..., SIDE_SLIP]
+        across = state[..., SPEED] * np.tan(state[..., SIDE_SLIP])
         across = across + car.front_axle_m * state[..., YAW_RATE]
         cosine, sine = np.cos(state[..., STEERING]), np.sin(state[..., STEERING])
         along = [(state[..., SPEED] + way * side) * cosine + across * sine for way in (-1.0, 1.0)]
@@ -142,7 +142,7 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
 
     def inertial(state: np.ndarray) -> np.ndarray:
         ahead, yaw_rate = sheets.accelerometer_ahead_m, state[..., YAW_RATE]
-        lateral, turning = single_track.accelerations(state, state[..., STEERING])
+        lateral, turning = single_track.accelerations(state, state[..., STEERING:])
         forward = state[..., ACCELERATION] - ahead * yaw_rate**2
         return np.stack([yaw_rate, lateral + ahead * turning, forward], axis=-1)
 

@@ -10,7 +10,7 @@ from concord.plants.recorded.channels import (
     mean_by_step,
     readings_by_step,
 )
-from concord.plants.vehicle.corrections import corrected
+from concord.plants.vehicle.corrections import channels_of_nodes, corrected
 from concord.plants.vehicle.drive_log import speeds_in
 from concord.plants.vehicle.network import (
     CHANNELS,
@@ -43,18 +43,9 @@ def replayed(channels: Mapping[str, ChannelReadings], car: Car, time_step_s: flo
     """
     channels = corrected(channels, car.sensors)
     grid = grid_over(channels, time_step_s)
-    free = (
-        ("rear_left", "rear_right") if car.driven_axle == "front" else ("front_left", "front_right")
-    )
-    sensors = (
-        tuple(f"{wheel}_wheel" for wheel in free),
-        ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
-        ("steering",),
-        ("ground_speed", "course"),
-    )
     placed = {
         (node, place): readings_by_step(channels[name], grid)
-        for node, names in enumerate(sensors)
+        for node, names in enumerate(channels_of_nodes(car))
         for place, name in enumerate(names)
         if name in channels
     }
@@ -66,10 +57,10 @@ def replayed(channels: Mapping[str, ChannelReadings], car: Car, time_step_s: flo
     if "side_slip" in channels:
         truth[:, SIDE_SLIP] = mean_by_step(channels["side_slip"], grid)
     quiet = tuple(tuple(SensorError(0.0) for _ in errors) for errors in ERRORS)
-    return DrivenOnce(time_step_s, truth, exact, _start(channels), quiet, prior_error=False)
+    return DrivenOnce(time_step_s, truth, exact, start_of(channels), quiet, prior_error=False)
 
 
-def _start(channels: Mapping[str, ChannelReadings]) -> np.ndarray:
+def start_of(channels: Mapping[str, ChannelReadings]) -> np.ndarray:
     """Return the state (6,) that the first readings tell, 0 for what they do not."""
     start = np.zeros(len(STATE_NAMES))
     told = {

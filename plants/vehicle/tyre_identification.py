@@ -12,6 +12,7 @@ model, output error). Standard errors are those of least squares with white resi
 a drive are not white but model error, so the true errors are larger.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from concord.plants.vehicle.parameters import Car
 
 MODEL_STEP_S = 0.005
 """Of the model; drives are interpolated to it, for slow cars are stiff."""
+
+ModelOfDrive = Callable[[Car, Axles, Tyre, float], SingleTrack]
 
 _SCALES = (0.01, 0.2, 0.002)
 """Of the residuals: yaw rate rad/s, lateral acceleration m/s^2, side slip rad."""
@@ -60,6 +63,7 @@ def identify(
     *,
     seek_friction: bool = False,
     min_speed_m_s: float = 5.0,
+    model: ModelOfDrive = SingleTrack,
 ) -> Identified:
     """Return the tyres of a car that fit a drive best, starting from the car's own.
 
@@ -70,6 +74,7 @@ def identify(
         seek_friction: whether the friction is sought too; only a drive near the limit tells it.
         min_speed_m_s: slower parts are driven through and not compared; there wheels roll where
             they point, whatever their stiffness.
+        model: makes the model of car, axles, tyre and sampling time.
 
     Raises:
         ValueError: a drive that is too short or too straight to tell, or never fast enough.
@@ -85,11 +90,14 @@ def identify(
     # The fit has no offset for an output that was not logged.
     sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
 
+    def made(axles: Axles) -> SingleTrack:
+        return model(car, axles, tyre, driven.time_step_s)
+
     def residuals(parameters: np.ndarray) -> np.ndarray:
         """Scaled residuals (lanes, values) of the parameters sought (lanes, p)."""
         complete = np.zeros((len(parameters), len(sought)))
         complete[:, sought] = parameters
-        left = (_outputs(driven, car, tyre, complete) - outputs[:, None, :]) / np.array(_SCALES)
+        left = (_outputs(driven, car, made, complete) - outputs[:, None, :]) / np.array(_SCALES)
         return np.moveaxis(left, 1, 0)[:, compared]
 
     def jacobian(parameters: np.ndarray) -> np.ndarray:
@@ -108,7 +116,9 @@ _OFFSETS = np.array([1e-3, *_SCALES[1:]])
 _FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 5
 
 
-def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: np.ndarray) -> np.ndarray:
+def _outputs(
+    driven: Drive, car: Car, made: Callable[[Axles], SingleTrack], parameters: np.ndarray
+) -> np.ndarray:
     """Yaw rate, lateral acceleration and side slip (steps, lanes, 3) of the model."""
     limit = car.friction * np.exp(parameters[:, _FRICTION])
     axles = Axles(
@@ -117,17 +127,19 @@ def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: np.ndarray) -> np.
         limit * car.front_load_n,
         limit * car.rear_load_n,
     )
-    model = SingleTrack(car, axles, tyre, driven.time_step_s)
+    model = made(axles)
     steering_offset, *offsets = (_OFFSETS * parameters[:, _STEERING_OFFSET:_FRICTION]).T
     state = np.zeros((len(parameters), 3))
     state[:, 0] = np.nan_to_num(driven.yaw_rate_rad_s[0])
     control = np.zeros((len(parameters), 2))
+    driving = np.nan_to_num(driven.longitudinal_acceleration_m_s2)
     predicted = np.empty((driven.steps, len(parameters), 3))
     for k, speed in enumerate(driven.speed_m_s):
         state[:, 2] = speed  # as logged: only the lateral motion is compared
         control[:, 0] = driven.steering_rad[k] + steering_offset
+        control[:, 1] = driving[k]
         predicted[k, :, 0] = state[:, 0]
-        predicted[k, :, 1] = model.lateral_acceleration(state, control[:, 0])
+        predicted[k, :, 1] = model.accelerations(state, control)[0]
         predicted[k, :, 2] = state[:, 1]
         state = model.transition(state, control, k)
     predicted[..., 1:] += np.stack(offsets, axis=-1)

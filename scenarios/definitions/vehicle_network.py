@@ -7,10 +7,14 @@ what the sensors really do.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
+
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.drive_log import read_car, read_log
+from concord.plants.vehicle.corrections import channels_of_nodes
+from concord.plants.vehicle.drive_log import logged_channels, read_car, read_log
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
@@ -26,6 +30,7 @@ from concord.plants.vehicle.network import (
 from concord.plants.vehicle.parameters import Car
 from concord.plants.vehicle.replay import replayed
 from concord.plants.vehicle.sensors import SensorError
+from concord.plants.vehicle.validity import outside_model
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
@@ -112,7 +117,19 @@ def _model(scenario: Scenario) -> DrivenCar:
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    return sensor(node, _model(scenario).single_track)
+    own = sensor(node, _model(scenario).single_track)
+    return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
+
+
+@cache
+def _gate(probability: float, channels: int) -> float | None:
+    """Chi-square threshold of a reading; none for no gate."""
+    if probability == 0:
+        return None
+    # Only here: a node without a gate need not wait for it.
+    from scipy.special import chdtri
+
+    return float(chdtri(channels, probability))
 
 
 @cache
@@ -124,6 +141,23 @@ def _reference_cov(scenario: Scenario) -> float:
     """Variance of the side slip that a log has in place of the truth."""
     data = vehicle_of(scenario).data
     return 0.0 if data is None else _slip_variance(data)
+
+
+@cache
+def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
+    there = logged_channels(data)
+    of_nodes = enumerate(channels_of_nodes(read_car(data)))
+    return tuple(node for node, names in of_nodes if there.isdisjoint(names))
+
+
+def _without_data(scenario: Scenario) -> tuple[int, ...]:
+    """Nodes whose sensor a log has no column of."""
+    data = vehicle_of(scenario).data
+    return () if data is None else _logged_nodes_without_data(data)
+
+
+def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
+    return outside_model(_model(scenario).single_track, states)
 
 
 def _check(scenario: Scenario) -> None:
@@ -168,4 +202,6 @@ DEFINITION = ScenarioDefinition(
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=_all_steps,
     reference_cov=_reference_cov,
+    without_data=_without_data,
+    outside=_outside,
 )

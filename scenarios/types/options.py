@@ -40,6 +40,7 @@ class ScenarioOptions(TypedDict, total=False):
     car: str
     manoeuvre: str
     process_noise: float
+    sensor_gate: float
     nodes: int
     graph: GRAPH
     weights: str
@@ -108,6 +109,7 @@ class SweptOptions(TypedDict, total=False):
     car: Sequence[str] | np.ndarray | str
     manoeuvre: Sequence[str] | np.ndarray | str
     process_noise: Sequence[float] | np.ndarray | float
+    sensor_gate: Sequence[float] | np.ndarray | float
     nodes: Sequence[int] | np.ndarray | int
     graph: Sequence[GRAPH] | np.ndarray | GRAPH
     weights: Sequence[str] | np.ndarray | str

@@ -122,6 +122,11 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
             above=0,
         ),
     ] = 1.0
+    sensor_gate: Annotated[
+        float,
+        Option("Do not use readings of the car's sensors that are less likely than this; 0 uses "
+               "all.", at_least=0, below=1),
+    ] = 0.0  # fmt: skip
 
 
 class UserPlant(FromFile, SensedPlantChoice, frozen=True, kw_only=True, tag=USER):

@@ -12,12 +12,13 @@ from concord.filters.sigma_points import cubature, scaled_unscented
 from concord.papers.adlukf import adaptive_filters as adaptive
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from concord.papers.adlukf.filters import CONTESTANTS, StepInput
-from concord.plants.vehicle.model import linear_tyre, single_track
+from concord.papers.adlukf.small_angles import small_angles
+from concord.plants.vehicle.model import linear_tyre
 from concord.plants.vehicle.parameters import BMW_320I
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 STD = np.array([0.1, 0.005, 0.1])
-MODEL = single_track(BMW_320I, linear_tyre, 0.01, Q)
+MODEL = small_angles(BMW_320I, linear_tyre, 0.01, Q)
 RULE = scaled_unscented(3, alpha=0.1, kappa=0.0)
 LANES, STEPS = 8, 400
 PRIOR = Gaussian(

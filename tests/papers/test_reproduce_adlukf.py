@@ -14,6 +14,7 @@ from concord.papers.adlukf.consistency import average_nees, matched_study
 from concord.papers.adlukf.cost import costs
 from concord.papers.adlukf.elsewhere import Elsewhere, in_words
 from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.small_angles import small_angles
 from concord.papers.adlukf.study import (
     CASES,
     CHANNELS,
@@ -24,7 +25,7 @@ from concord.papers.adlukf.study import (
 )
 from concord.papers.adlukf.tables import per_state, ratio, with_interval
 from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.model import linear_tyre, single_track
+from concord.plants.vehicle.model import linear_tyre
 from concord.plants.vehicle.parameters import BMW_320I
 from tests.papers.support import every_claim_can_fail
 
@@ -35,11 +36,11 @@ STEPS = 250
 
 def model_drive(amplitude: float = 0.04) -> Drive:
     """A drive of the single-track model itself: no error of the model, no library needed."""
-    model = single_track(BMW_320I, linear_tyre, 0.01, np.eye(3))
+    model = small_angles(BMW_320I, linear_tyre, 0.01, np.eye(3))
     steering = amplitude * np.sin(0.03 * np.arange(STEPS))
     states, accelerations = [np.array([0.0, 0.0, 20.0])], []
     for angle in steering:
-        accelerations.append(model.lateral_acceleration(states[-1], angle))
+        accelerations.append(model.accelerations(states[-1], np.array([angle, 0.0]))[0])
         states.append(model.transition(states[-1], np.array([angle, 0.0]), 0))
     yaw_rate, side_slip, speed = np.array(states[:-1]).T
     zeros = np.zeros(STEPS)

@@ -24,7 +24,7 @@ def drive(car: Car, tyre, amplitude: float, noise: float = 1.0, step_s: float = 
     steering = amplitude * np.sin(3 * time_s) * np.minimum(1, time_s / 4)
     states, accelerations = [np.array([0.0, 0.0, 20.0])], []
     for angle in steering:
-        accelerations.append(model.lateral_acceleration(states[-1], angle))
+        accelerations.append(model.accelerations(states[-1], np.array([angle, 0.0]))[0])
         moved = model.transition(states[-1], np.array([angle, 0.0]), 0)
         states.append(np.array([*moved[:2], 20.0]))
     yaw_rate, side_slip, speed = np.array(states[:-1]).T

@@ -10,13 +10,18 @@ import numpy as np
 import pytest
 
 from concord.experiments.results.bus_report import figures_of
+from concord.experiments.results.innovations.of_run import (
+    innovation_variables,
+    judged_run,
+    run_innovations,
+)
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.filter import LearningFilter
 from concord.nodes.messages import Measured
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import write_drive
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.network import SIDE_SLIP, STATE_NAMES
+from concord.plants.vehicle.network import SIDE_SLIP, SPEED, STATE_NAMES
 from concord.plants.vehicle.parameters import ProcessNoise, SensorSheet, SensorSheets
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import local_only
@@ -120,6 +125,27 @@ def test_the_noise_of_a_logged_slip_is_no_error_of_the_estimates(tmp_path: Path)
     for drive, off in ((logged, read), (simulated, error)):
         assert abs(scored_nees(drive, off, cov).mean() - 1) < 4 * np.sqrt(2 / 4000)
     assert scored_nees(simulated, read, cov).mean() > 1.3
+
+
+def test_steps_outside_the_model_are_not_judged_and_the_verdict_says_so():
+    prepared = setup(steps=240, noise="matched")
+    trace = run(prepared)
+    found = run_innovations(prepared, trace)
+    assert found is not None
+    nees = np.ones(40)
+    whole, sentence = judged_run(prepared, found, 200, nees)
+    assert whole is not None and sentence is not None
+    assert "not judged" not in sentence
+    found.heard.belief.mean[0, 230:, SPEED] = 2.0
+    found.own.value[0, 230:] *= 1e3
+    part, sentence = judged_run(prepared, found, 200, nees)
+    assert part is not None and part.outside is not None and sentence is not None
+    assert "not judged: 25 % of the drive, outside the model (below 3 m/s: 25 %" in sentence
+    assert part.outside["any"] == 0.25
+    assert part.centralised.updates < whole.centralised.updates
+    np.testing.assert_array_equal(
+        innovation_variables(prepared, found)["outside_model"][1], np.arange(240) >= 230
+    )
 
 
 def test_process_noise_is_that_of_the_cars_file_times_the_option(tmp_path: Path):

@@ -1,7 +1,7 @@
 """Figures of the innovations of a run: NIS of each node, tests of each channel, and their cause."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -13,6 +13,7 @@ from concord.experiments.results.innovations.channel_test import (
     nis_interval,
 )
 from concord.experiments.results.innovations.diagnosis import Channel, Diagnosis, diagnose
+from concord.filters.gaussian import Gaussian
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import Innovations
 from concord.scenarios.setup import Setup
@@ -58,12 +59,37 @@ class NisFigures(msgspec.Struct, frozen=True):
 
 class InnovationFigures(msgspec.Struct, frozen=True):
     """Innovations from the first scored step on: of each node's own readings, of all nodes
-    together, and of the filter that hears everything, whose channels are tested."""
+    together, and of the filter that hears everything, whose channels are tested.
+
+    `outside` is the share of the scored steps for which the model does not hold, by the reason, and
+    of any reason under "any". Their innovations do not count.
+    """
 
     nodes: list[NisFigures]
     network: NisFigures
     centralised: NisFigures
     channels: list[ChannelFigures]
+    outside: dict[str, float] | None = None
+
+
+class Outside(NamedTuple):
+    """The steps (R, S) for which the model does not hold, and their `shares` of those that count,
+    as `InnovationFigures.outside`; None for a model that always holds."""
+
+    steps: np.ndarray
+    shares: dict[str, float] | None
+
+
+def outside_model(setup: Setup, belief: Gaussian, counted: np.ndarray) -> Outside:
+    """Where estimates (R, S, n) are outside the model, among the steps that count (R, S)."""
+    outside = definition_of(setup.scenario).outside
+    if outside is None:
+        return Outside(np.zeros_like(counted), None)
+    reasons = outside(setup.scenario, belief.mean)
+    steps = np.logical_or.reduce(list(reasons.values()))
+    each = {"any": steps, **reasons}
+    shares = {name: float(there[counted].mean()) for name, there in each.items() if counted.any()}
+    return Outside(steps, shares)
 
 
 def accepted(setup: Setup, innovations: Innovations) -> Innovations:

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from rich import box
 from rich.markup import escape
@@ -15,10 +16,13 @@ from concord.experiments.results.innovations.figures import (
     accepted,
     innovation_figures,
     nis_per_step,
+    outside_model,
 )
+from concord.experiments.results.innovations.log_cause import log_cause
 from concord.experiments.results.innovations.sentence import (
     ESTIMATES_CONFIDENCE,
     innovation_verdict,
+    outside_in_words,
 )
 from concord.experiments.results.run_verdict import anees_interval
 from concord.experiments.results.trace import Trace
@@ -51,9 +55,13 @@ def run_innovations(setup: Setup, trace: Trace) -> RunInnovations | None:
     return None if own is None or heard is None else RunInnovations(own, heard)
 
 
-def innovation_variables(found: RunInnovations) -> dict[str, Any]:
+def innovation_variables(setup: Setup, found: RunInnovations) -> dict[str, Any]:
     """The variables of run.nc."""
+    every = np.ones(found.heard.belief.mean.shape[:2], dtype=bool)
+    outside = outside_model(setup, found.heard.belief, every)
+    mask = {"outside_model": (("step",), outside.steps[0].astype(np.int8))}
     return {
+        **({} if outside.shares is None else mask),
         **variables_of(Innovations(*(values[0] for values in found.own)), "", ("step",)),
         **variables_of(
             Innovations(*(values[0] for values in found.heard.innovations)),
@@ -74,18 +82,25 @@ def variables_of(innovations: Innovations, prefix: str, before: tuple[str, ...])
 
 
 def judged(
-    setup: Setup, own: Innovations, heard: Innovations, counted: np.ndarray, nees: np.ndarray
+    setup: Setup, own: Innovations, heard: HearsAll, counted: np.ndarray, nees: np.ndarray
 ) -> tuple[InnovationFigures, str]:
     """The figures of innovations (R, S, N, r, m) in the steps that count (R, S), and the verdict.
 
+    Steps for which the model does not hold do not count.
     `nees` (R, S) is the mean of the nodes' normalised errors squared in each step, per state; NaN
     where it is not known.
     """
-    own, heard = (_where(counted, accepted(setup, one)) for one in (own, heard))
-    figures, diagnosis = innovation_figures(setup, own, heard)
+    outside = outside_model(setup, heard.belief, counted)
+    counted = counted & ~outside.steps
+    nees = np.where(outside.steps, np.nan, nees)
+    own, all_ = (_where(counted, accepted(setup, one)) for one in (own, heard.innovations))
+    figures, diagnosis = innovation_figures(setup, own, all_)
+    figures = msgspec.structs.replace(figures, outside=outside.shares)
     nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
     suspicion = _interval_of(nees, 0.95)
-    return figures, innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion)
+    named = log_cause(setup, counted[0]) if len(counted) == 1 else ""
+    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, named)
+    return figures, sentence + outside_in_words(outside.shares)
 
 
 def judged_run(
@@ -96,7 +111,7 @@ def judged_run(
         return None, None
     counted = np.arange(first + len(nees))[None] >= first
     nees = np.concatenate([np.full(first, np.nan), nees])[None]
-    return judged(setup, found.own, found.heard.innovations, counted, nees)
+    return judged(setup, found.own, found.heard, counted, nees)
 
 
 def _where(counted: np.ndarray, innovations: Innovations) -> Innovations:

@@ -53,13 +53,19 @@ _OF_ONE = {
 
 
 def innovation_verdict(
-    scenario: Scenario, diagnosis: Diagnosis, nis: Interval, anees: Interval, suspicion: Interval
+    scenario: Scenario,
+    diagnosis: Diagnosis,
+    nis: Interval,
+    anees: Interval,
+    suspicion: Interval,
+    named: str = "",
 ) -> str:
     """The verdict, computed from the diagnosis and from the nodes' own figures.
 
     `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
     `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
-    95 % interval that the run's figures show.
+    95 % interval that the run's figures show. `named` is the cause in the file of a logged car,
+    where one was found (`log_cause`); it takes the place of the cause that channels point to.
     """
     if diagnosis.cause is Cause.UNKNOWN:
         return (
@@ -67,11 +73,15 @@ def innovation_verdict(
             "steps, so use more --steps"
         )
     if diagnosis.cause is Cause.NONE:
-        return _of_estimates(scenario, nis, anees, suspicion)
+        said = _of_estimates(scenario, nis, anees, suspicion)
+        return f"{said}; yet {named}" if named else said
     assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
     test = diagnosis.test
+    figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
+    if named:
+        return f"{_lead(diagnosis.cause, test)}: {figures}; {named}"
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
-        figures=f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right",
+        figures=figures,
         mean=_mean(test, diagnosis.channel),
         correlation=test.correlation,
         cure=_cure(scenario),
@@ -86,6 +96,20 @@ def innovation_verdict(
         channel, off = diagnosis.shifted
         said += f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
     return f"{_lead(diagnosis.cause, test)}: {said}"
+
+
+def outside_in_words(shares: dict[str, float] | None) -> str:
+    """The end of a verdict: how much of the drive is outside the model, and why."""
+    if not shares or not shares["any"]:
+        return ""
+    why = ", ".join(
+        f"{name}: {_percent(share)}" for name, share in shares.items() if share and name != "any"
+    )
+    return f"; not judged: {_percent(shares['any'])} of the drive, outside the model ({why})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
 
 
 def label(channel: Channel) -> str:

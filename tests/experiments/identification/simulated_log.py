@@ -87,14 +87,16 @@ def _forces(x: np.ndarray, car: Car) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lateral(x: np.ndarray, car: Car) -> np.ndarray:
+    """Of a car with rear drive: only the rear wheels push."""
     front, rear = _forces(x, car)
+    front = front * np.cos(x[:, 4])
     turning = (car.front_axle_m * front - car.rear_axle_m * rear) / car.yaw_inertia_kg_m2
     return (front + rear) / car.mass_kg + car.sensors.accelerometer_ahead_m * turning
 
 
 def _wheels(x: np.ndarray, car: Car) -> np.ndarray:
     """Front wheels, which the car does not drive; nothing of the rear."""
-    across = x[:, 2] * x[:, 1] + car.front_axle_m * x[:, 0]
+    across = x[:, 2] * np.tan(x[:, 1]) + car.front_axle_m * x[:, 0]
     sides = [x[:, 2] + way * 0.5 * car.front_track_m * x[:, 0] for way in (-1, 1)]
     front = [along * np.cos(x[:, 4]) + across * np.sin(x[:, 4]) for along in sides]
     return np.stack([*front, *2 * [np.full(len(x), np.nan)]], axis=-1)

@@ -19,8 +19,8 @@ from concord.experiments.identification.sought import sought_of, value_at
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.results.run_verdict import anees_interval
 from concord.plants.recorded.channels import ChannelReadings
-from concord.plants.vehicle.corrections import FIELDS, corrected, earlier
-from concord.plants.vehicle.drive_log import write_drive
+from concord.plants.vehicle.corrections import SENSORS_OF_NODES, corrected, earlier
+from concord.plants.vehicle.drive_log import channels_of, write_drive
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.network import SIDE_SLIP
 from concord.plants.vehicle.parameters import Car, car_from_toml
@@ -56,7 +56,9 @@ def identified(tmp_path_factory) -> Identified:
 def test_all_that_is_wrong_is_found_within_its_interval(identified: Identified):
     """Wrong Q, R, offsets, delay and lever arm. Of 24 intervals of 95 %, 21 hold in 97 of 100."""
     drive, _ = simulated_log(TRUE, 0.5, 1)
-    every = {one.name: one for one in sought_of(drive, TRUE, friction=False, ratio=False)}
+    every = {
+        one.name: one for one in sought_of(channels_of(drive), TRUE, friction=False, ratio=False)
+    }
     held = {}
     for one in identified.said["parameters"]:
         truth = value_at(TRUE, every[one["name"]].path)
@@ -98,7 +100,8 @@ def test_another_drive_of_the_car_is_consistent(identified: Identified, tmp_path
         assert heard is not None
         nis, entries = heard.innovations.nis[:, 100:], heard.innovations.entries[:, 100:]
         # The first step is that of the earliest reading, which came before the log began.
-        lag = round(max(value_at(car, ("sensors", name, "delay_s")) for name in FIELDS) / 0.005)
+        sensors = (*sum(SENSORS_OF_NODES, ()), "side_slip")
+        lag = round(max(value_at(car, ("sensors", name, "delay_s")) for name in sensors) / 0.005)
         truth = states[100 - lag : 990 - lag, SIDE_SLIP]
         error = heard.belief.mean[0, 100:, SIDE_SLIP] - truth
         squares = error**2 / heard.belief.cov[0, 100:, SIDE_SLIP, SIDE_SLIP]
@@ -115,7 +118,13 @@ def test_a_straight_drive_says_what_it_does_not_show():
     straight = replace(TRUE, process_noise=replace(TRUE.process_noise, steering_rad=1e-6))
     drive, _ = simulated_log(straight, 1.5, 1, slip=False)
     found = fit(
-        drive, FILE, tanh_tyre, friction=False, ratio=True, time_step_s=0.005, min_speed_m_s=5.0
+        channels_of(drive),
+        FILE,
+        tanh_tyre,
+        friction=False,
+        ratio=True,
+        time_step_s=0.005,
+        min_speed_m_s=5.0,
     )
     by_name = {one.sought.name: one for one in found.found}
     for name in ("yaw inertia", "steering ratio"):
@@ -132,9 +141,9 @@ def test_a_straight_drive_says_what_it_does_not_show():
 
 def test_the_gradient_is_that_of_the_likelihood():
     drive, _ = simulated_log(TRUE, 1.0, 2)
-    every = sought_of(drive, FILE, friction=True, ratio=True)
+    every = sought_of(channels_of(drive), FILE, friction=True, ratio=True)
     sought = every[::3] + tuple(one for one in every if one.is_delay)[:1]
-    log = logged_readings(drive, FILE, 0.005, 5.0)
+    log = logged_readings(channels_of(drive), FILE, 0.005, 5.0)
     start = np.where([one.is_delay for one in sought], 0.0, 0.1)
     here = likelihood(log, FILE, tanh_tyre, sought, start)
     for place, one in enumerate(sought):

@@ -1,0 +1,52 @@
+"""The value of a car's file that alone explains most of what a log leaves unexplained, in words."""
+
+from dataclasses import replace
+
+import numpy as np
+from msgspec import structs
+
+from concord.experiments.identification.likelihood import logged_readings
+from concord.experiments.identification.sought import sought_of
+from concord.experiments.identification.suspects import Suspect, suspect
+from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
+from concord.plants.vehicle.model import tanh_tyre
+from concord.plants.vehicle.parameters import Car, ProcessNoise
+from concord.plants.vehicle.validity import SLOWEST_M_S
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import VehicleNetwork
+
+LONGEST_S = 30.0
+"""Time of a log that is searched, from its first scored step on; a second takes half a second."""
+
+
+def log_cause(setup: Setup, counted: np.ndarray) -> str:
+    """The sentence on the cause, from the steps (S,) that count.
+
+    Empty without a log of a car, and where no value of its file is wrong beyond chance.
+    """
+    plant = setup.scenario.plant
+    if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
+        return ""
+    channels, car = read_log(plant.data)
+    car = structs.replace(car, process_noise=_times(car, plant.process_noise))
+    log = logged_readings(channels, car, setup.time_step_s, SLOWEST_M_S)
+    end = min(len(counted), int(np.argmax(counted)) + round(LONGEST_S / setup.time_step_s))
+    log = replace(log, readings=log.readings[:end], counted=log.counted[:end] & counted[:end])
+    ratio = not logs_road_wheels(plant.data)
+    found = suspect(log, car, tanh_tyre, sought_of(channels, car, friction=False, ratio=ratio))
+    return "" if found is None else in_words(found, plant.data)
+
+
+def _times(car: Car, factor: float) -> ProcessNoise:
+    noise = car.process_noise
+    return structs.replace(noise, **{n: factor * v for n, v in structs.asdict(noise).items()})
+
+
+def in_words(found: Suspect, data: str) -> str:
+    """ "of single values of car.toml, the offset of yaw rate explains most: ..." """
+    interval = f" (95 %: {found.low:.3g} to {found.high:.3g})" if np.isfinite(found.low) else ""
+    return (
+        f"of single values of car.toml, {found.sought.name} explains most: {found.value:.3g}"
+        f"{interval} {found.sought.unit}".rstrip()
+        + f" in place of {found.before:.3g}; `concord identify --data {data}` fits all"
+    )
