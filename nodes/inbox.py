@@ -143,7 +143,7 @@ def _file(
     )
     if not arrives:
         return _keep(config, count(state, "lost"), key, place, fragment.frame_id, None)
-    if config.faults.standing:
+    if config.faults.are_active:
         return _hear_faulty(config, state, sender, fragment, place, frame)
     return _keep(config, state, key, place, fragment.frame_id, fragment.data)
 

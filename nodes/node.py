@@ -80,7 +80,7 @@ def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
     missing = list(_due(config, state))
     if came:
         missing = [j for j in missing if (cycle, j) not in came]
-    if not (missing and config.faults.standing):
+    if not (missing and config.faults.are_active):
         return missing
     overtaken = state.inbox.overtaken
     return [
@@ -222,7 +222,7 @@ def _send(
     config: NodeConfig, state: NodeState, outbox: list[NodeMessage], urgency_class: int = 0
 ) -> NodeState:
     faults, step, cycle = config.faults, state.step, state.cycle
-    if faults.standing and is_silent(faults, step, cycle, config.index):
+    if faults.are_active and is_silent(faults, step, cycle, config.index):
         return count(state, "silent")
     content, body = config.estimator.compose(state.content)
     if faults.standing:

@@ -47,7 +47,9 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
             states = len(setup.prior_mean)
             form = rule.share.codec(number, states, scenario.nodes).form
             codec = BeliefCodec(states, number, form)
-    clocks = partial(bus.clock_errors, scenario.nodes) if isinstance(bus, KeepsClocks) else None
+    clocks, sync = None, ()
+    if isinstance(bus, KeepsClocks):
+        clocks, sync = partial(bus.clock_errors, scenario.nodes), bus.sync_nodes
     return Equipment(
         bus.channels,
         bus.cycle_us,
@@ -56,6 +58,8 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         codec,
         bus.frame_format.noticed_bits,
         clocks,
+        sync,
+        scenario.rounds,
     )
 
 

@@ -24,7 +24,7 @@ from concord.bus.flexray.frame import FrameError
 from concord.experiments.results.bus_report import SentShares, timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
-from concord.nodes.faults.active import Faults, hangs
+from concord.nodes.faults.active import Faults, sends_nothing
 from concord.nodes.faults.links import Passage, carries, collides
 from concord.nodes.faults.senders import sent
 from concord.runtime.recorded import SharedFrame, meaning
@@ -217,10 +217,11 @@ def _between_steps(traffic: Traffic, steps: int, rounds: int) -> Iterator[Captur
         if first[step] <= number < first[step] + rounds:
             continue
         faults, absent = traffic.faults(step), traffic.standing[step].absent
+        last = (step + 1) * rounds - 1
         nodes = [
             node
             for node in range(bus.schedule.nodes)
-            if node not in absent and not hangs(faults, step, node)
+            if node not in absent and not sends_nothing(faults, step, last, node)
         ]
         yield from _null_frames(bus, number, number, nodes)
 

@@ -135,7 +135,7 @@ class OracleLedger:
         arrives = (sender, receiver) not in self.record.cuts and hears(
             config.links._replace(cuts=frozenset()), step, cycle, sender, receiver, sent.number
         )
-        if arrives and self.record.wrong:
+        if arrives and self.record.faults(config, step).are_active:
             fate = self._fate(config, step, sender, sent)
             self.struck.update(fate.struck)
             ledger.suffer(sender, sent, fate)

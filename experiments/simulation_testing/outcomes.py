@@ -143,7 +143,8 @@ def _clocks(faults: Faults, cycle: int) -> ClockErrors | None:
         if drifting[node,].numbers[0] != 0
     )
     keep = faults.equipment.clocks
-    return None if keep is None or not drifts else keep(drifts, cycle)
+    disturbed = drifts or faults.outages
+    return None if keep is None or not disturbed else keep(drifts, faults.outages, cycle)
 
 
 def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:
