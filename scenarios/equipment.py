@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.bus.clocks import KeepsClocks
+from concord.bus.retransmissions import retransmits
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import Equipment, Faults
 from concord.scenarios.catalogue import definition_of
@@ -60,6 +61,8 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         clocks,
         sync,
         scenario.rounds,
+        bus.retransmissions if retransmits(bus) else 0,
+        setup.neighbours,
     )
 
 

@@ -6,7 +6,7 @@ and a receiver knows of a slot that stays empty without waiting for it.
 """
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -38,6 +38,8 @@ class Equipment(NamedTuple):
         noticed_bits: a receiver finds any this many wrong bits in a frame.
         clocks: of the nodes in a cycle, on a bus that keeps them together; None on others.
         sync_nodes: of such a bus (`concord.bus.clocks.KeepsClocks`). rounds: cycles of a step.
+        retransmissions: how often the bus sends a frame again after an error.
+        neighbours: the nodes that each node hears.
     """
 
     channels: str = "A"
@@ -49,6 +51,8 @@ class Equipment(NamedTuple):
     clocks: Clocks | None = None
     sync_nodes: tuple[int, ...] = ()
     rounds: int = 1
+    retransmissions: int = 0
+    neighbours: Sequence[Sequence[int]] = ()
 
 
 PLAIN = Equipment()

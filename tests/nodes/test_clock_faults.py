@@ -123,7 +123,10 @@ def test_a_cluster_without_its_sync_nodes_stops(two_sync_nodes: str, words: tupl
 
 
 @pytest.mark.parametrize(
-    "words", [("kill 0",), ("missing 0 1",), ("missing 0 0.9", "missing 1 0.9"), ("null 0 1", "null 1 1")]
+    "words",
+    [
+        ("kill 0",), ("missing 0 1",), ("missing 0 0.9", "missing 1 0.9"), ("null 0 1", "null 1 1"),
+    ],
 )  # fmt: skip
 def test_sync_frames_that_are_left_keep_the_other_nodes(
     two_sync_nodes: str, words: tuple[str, ...]
