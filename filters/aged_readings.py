@@ -16,8 +16,8 @@ _MOST_STEPS, _SETTLED = 100_000, 1e-13
 _UNBOUNDED = 1e30
 
 
-class LinearNetwork(NamedTuple):
-    """A linear plant with N sensors.
+class LinearSensing(NamedTuple):
+    """A linear plant and its N sensors.
 
     Attributes:
         transition: (n, n). process_cov: (n, n).
@@ -29,7 +29,7 @@ class LinearNetwork(NamedTuple):
     information: np.ndarray
 
 
-def steady_cov(network: LinearNetwork) -> np.ndarray:
+def steady_cov(network: LinearSensing) -> np.ndarray:
     """Return the covariance (n, n) after a reading of all sensors in each of many steps.
 
     Raises:
@@ -51,7 +51,7 @@ def steady_cov(network: LinearNetwork) -> np.ndarray:
     )
 
 
-def aged_cov(network: LinearNetwork, steady: np.ndarray, ages: np.ndarray) -> np.ndarray:
+def aged_cov(network: LinearSensing, steady: np.ndarray, ages: np.ndarray) -> np.ndarray:
     """Return the covariances (..., n, n) of filters that lack the newest readings of each sensor.
 
     Args:
@@ -65,7 +65,7 @@ def aged_cov(network: LinearNetwork, steady: np.ndarray, ages: np.ndarray) -> np
     return cov
 
 
-def _step(network: LinearNetwork, cov: np.ndarray, heard: np.ndarray) -> np.ndarray:
+def _step(network: LinearSensing, cov: np.ndarray, heard: np.ndarray) -> np.ndarray:
     """Return the covariances after a step in which the sensors `heard` (..., N) are read."""
     F = network.transition
     predicted = symmetrise(F @ cov @ F.mT + network.process_cov)

@@ -101,13 +101,7 @@ class FlexRayBus(SlottedBus):
         Oscillators drift and clocks are corrected in all cycles, also in those between the steps.
         """
         number = self.timebase.bus_cycle
-        disturbed = Disturbances(
-            tuple(one._replace(first_cycle=number(one.first_cycle)) for one in drifts),
-            tuple(
-                SyncOutage(node, number(first), None if end is None else number(end))
-                for node, first, end in outages
-            ),
-        )
+        disturbed = Disturbances(drifts, outages).renumbered(number)
         return clock_errors(self.cluster, nodes, disturbed, number(cycle), self._sync)
 
     def segments(self) -> tuple[SegmentTime, ...]:

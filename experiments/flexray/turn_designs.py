@@ -16,12 +16,17 @@ from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.files.slot_file import checked_slots, slots_to_toml
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.share_frames import payload_lengths
-from concord.bus.flexray.slot_design.turns import Turn, best_turns, equal_turns, places_of_turns
+from concord.bus.flexray.slot_design.turns import (
+    CycleTurn,
+    best_turns,
+    equal_turns,
+    places_of_turns,
+)
 from concord.experiments.flexray.clusters import read_cluster, write_new
 from concord.experiments.flexray.rehearsal import prepare_without_bus
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
-from concord.filters.aged_readings import LinearNetwork, aged_cov, steady_cov
+from concord.filters.aged_readings import LinearSensing, aged_cov, steady_cov
 from concord.nodes.messages import from_wire
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.observability import jacobian, told
@@ -106,7 +111,7 @@ def design_turns(
     scored = list(definition_of(scenario).score.states)
     least = np.diag(steady)[scored].sum()
 
-    def bound(turns: Sequence[Turn]) -> float:
+    def bound(turns: Sequence[CycleTurn]) -> float:
         covs = aged_cov(network, steady, reading_ages(turns, scenario.rounds))
         return sqrt(np.diagonal(covs, axis1=-2, axis2=-1)[..., scored].sum(-1).mean() / least)
 
@@ -127,7 +132,7 @@ def design_turns(
     return TurnAnswer(rows, found.cost, equal, found.exact), slots
 
 
-def reading_ages(turns: Sequence[Turn], rounds: int) -> np.ndarray:
+def reading_ages(turns: Sequence[CycleTurn], rounds: int) -> np.ndarray:
     """Return how many of the last readings of each node the others lack, (T, N, N).
 
     Axes: step of the period, receiver, sender. A receiver lacks none of its own.
@@ -144,7 +149,7 @@ def reading_ages(turns: Sequence[Turn], rounds: int) -> np.ndarray:
     return ages
 
 
-def linear_network(setup: Setup) -> LinearNetwork:
+def linear_network(setup: Setup) -> LinearSensing:
     """Return the plant of a scenario and its sensors as matrices.
 
     Raises:
@@ -174,7 +179,7 @@ def linear_network(setup: Setup) -> LinearNetwork:
                 "holds for linear ones; use --scenario oscillator, or an own linear scenario"
             )
     (transition, information), _ = found
-    return LinearNetwork(transition, model.process_noise_cov(0), information)
+    return LinearSensing(transition, model.process_noise_cov(0), information)
 
 
 def _check(shares: int, longest: int, frames: int, cluster: Cluster) -> None:
@@ -190,7 +195,7 @@ def _check(shares: int, longest: int, frames: int, cluster: Cluster) -> None:
 
 
 def _slots(
-    turns: Sequence[Turn], lengths: Sequence[int], cluster: Cluster
+    turns: Sequence[CycleTurn], lengths: Sequence[int], cluster: Cluster
 ) -> tuple[MessageSlot, ...]:
     slots = [
         MessageSlot(

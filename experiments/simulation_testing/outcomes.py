@@ -155,8 +155,8 @@ def _spoils(faults: Faults, way: Passage, word: str, suffix: str, is_contended: 
     if word == "crc":
         return strikes(way.sender, EVERYBODY, (way.sender,), way.number)
     if word == "corrupt":
-        hearing = enumerate(faults.equipment.neighbours)
-        pairs = [(way.sender, node) for node, heard in hearing if way.sender in heard]
+        heard_by = enumerate(faults.equipment.neighbours)
+        pairs = [(way.sender, node) for node, heard in heard_by if way.sender in heard]
         return any(strikes(*pair, pair, way.number) for pair in pairs)
     if _at(faults, "guardian", way.step) and not is_contended:
         return False

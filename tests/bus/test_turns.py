@@ -11,19 +11,19 @@ from hypothesis import strategies as st
 from concord.bus.flexray.slot_design import turns as module
 from concord.bus.flexray.slot_design.demand import DemandError
 from concord.bus.flexray.slot_design.turns import (
-    Turn,
+    CycleTurn,
     best_turns,
     equal_turns,
     places_of_turns,
 )
 
 TURNS = st.integers(0, 4).flatmap(
-    lambda k: st.builds(Turn, st.integers(0, (1 << k) - 1), st.just(1 << k))
+    lambda k: st.builds(CycleTurn, st.integers(0, (1 << k) - 1), st.just(1 << k))
 )
 
 
 @given(st.lists(TURNS, min_size=1, max_size=12))
-def test_as_many_places_suffice_as_nodes_send_in_the_busiest_cycle(turns: list[Turn]):
+def test_as_many_places_suffice_as_nodes_send_in_the_busiest_cycle(turns: list[CycleTurn]):
     places = places_of_turns(turns)
     sent = Counter(cycle for cycle in range(16) for turn in turns if turn.sends(cycle))
     assert max(places) + 1 == max(sent.values())
@@ -49,7 +49,7 @@ def test_the_best_turns_are_those_of_all_that_there_are(seed: int, places: int):
         )
         return float(alone + pairs)
 
-    every = [Turn(base, 1 << k) for k in range(3) for base in range(1 << k)]
+    every = [CycleTurn(base, 1 << k) for k in range(3) for base in range(1 << k)]
     fitting = [
         turns
         for turns in product(every, repeat=3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.presets import AUDI
-from concord.bus.flexray.slot_design.turns import Turn
+from concord.bus.flexray.slot_design.turns import CycleTurn
 from concord.experiments.flexray.rehearsal import prepare_without_bus
 from concord.experiments.flexray.turn_designs import (
     TurnAnswer,
@@ -32,7 +32,7 @@ def asked(**options: object):
 
 
 def test_ages_count_steps_since_the_last_turn():
-    turns = [Turn(0, 1), Turn(1, 2), Turn(2, 4)]
+    turns = [CycleTurn(0, 1), CycleTurn(1, 2), CycleTurn(2, 4)]
     ages = reading_ages(turns, rounds=1)
     assert ages.shape == (4, 3, 3)
     assert ages[:, 0, 1].tolist() == [1, 0, 1, 0]
@@ -70,7 +70,7 @@ def test_the_bound_is_the_error_of_labelled_readings(
     histories = simulate(setup, list(range(60)), keep=frozenset({"cov"}))
     network = linear_network(setup)
     steady = steady_cov(network)
-    turns = [Turn(one.base_cycle, one.repetition) for one in answer.nodes]
+    turns = [CycleTurn(one.base_cycle, one.repetition) for one in answer.nodes]
     wanted = aged_cov(network, steady, reading_ages(turns, 1))
     # Covariances are those of the bound, step by step and node by node; readings have 16 bits.
     period = len(wanted)

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from concord.filters.aged_readings import LinearNetwork, aged_cov, steady_cov
+from concord.filters.aged_readings import LinearSensing, aged_cov, steady_cov
 
 
-def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearNetwork, np.ndarray]:
+def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearSensing, np.ndarray]:
     """A stable plant and rows (sensors, n) of sensors with unit noise."""
     draws = np.random.default_rng(seed)
     transition = draws.normal(size=(n, n))
@@ -17,7 +17,7 @@ def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearNetwork, np.nd
     root = draws.normal(size=(n, n))
     rows = draws.normal(size=(sensors, n))
     information = np.einsum("ki,kj->kij", rows, rows)
-    return LinearNetwork(transition, root @ root.T + 0.1 * np.eye(n), information), rows
+    return LinearSensing(transition, root @ root.T + 0.1 * np.eye(n), information), rows
 
 
 @settings(max_examples=20)
@@ -73,6 +73,6 @@ def test_lanes_are_those_of_single_calls_and_error_grows_with_age():
 
 
 def test_a_plant_that_no_sensor_sees_is_refused():
-    unseen = LinearNetwork(np.diag([1.2, 0.5]), np.eye(2), np.array([np.diag([0.0, 1.0])]))
+    unseen = LinearSensing(np.diag([1.2, 0.5]), np.eye(2), np.array([np.diag([0.0, 1.0])]))
     with pytest.raises(ValueError, match="does not settle"):
         steady_cov(unseen)

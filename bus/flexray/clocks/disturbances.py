@@ -1,6 +1,6 @@
 """Disturbances of the clocks of a network: oscillators that drift, and sync frames that fail."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import ceil
 from typing import NamedTuple
 
@@ -47,12 +47,17 @@ class Disturbances(NamedTuple):
                 settled = max(end, settled or 0)
             return at - removed
 
-        drifts = tuple(one._replace(first_cycle=number(one.first_cycle)) for one in self.drifts)
-        outages = tuple(
-            SyncOutage(node, number(first), None if end is None else number(end))
-            for node, first, end in self.outages
+        return self.renumbered(number), number(cycle)
+
+    def renumbered(self, number: Callable[[int], int]) -> "Disturbances":
+        """Return the disturbances in cycles with other numbers."""
+        return Disturbances(
+            tuple(one._replace(first_cycle=number(one.first_cycle)) for one in self.drifts),
+            tuple(
+                SyncOutage(node, number(first), None if end is None else number(end))
+                for node, first, end in self.outages
+            ),
         )
-        return Disturbances(drifts, outages), number(cycle)
 
     def _unsettled(self, slew_ppm: float) -> Iterator[tuple[int, int]]:
         """Yield when corrections begin to change, and an even cycle when they have settled."""

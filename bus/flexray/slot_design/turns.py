@@ -13,7 +13,7 @@ _MOST_TRIED = 20_000
 _BETTER = 1e-9
 
 
-class Turn(NamedTuple):
+class CycleTurn(NamedTuple):
     """A node sends in the cycles with cycle % repetition == base_cycle."""
 
     base_cycle: int
@@ -27,15 +27,15 @@ class Turn(NamedTuple):
 class TurnDesign(NamedTuple):
     """The turn of each node, their cost, and whether no turns have less."""
 
-    turns: tuple[Turn, ...]
+    turns: tuple[CycleTurn, ...]
     cost: float
     exact: bool
 
 
-Cost = Callable[[Sequence[Turn]], float]
+TurnCost = Callable[[Sequence[CycleTurn]], float]
 
 
-def equal_turns(nodes: int, places: int, longest: int) -> tuple[Turn, ...]:
+def equal_turns(nodes: int, places: int, longest: int) -> tuple[CycleTurn, ...]:
     """Return turns of equal length, the shortest that fit into so many places of a cycle.
 
     Raises:
@@ -49,10 +49,10 @@ def equal_turns(nodes: int, places: int, longest: int) -> tuple[Turn, ...]:
             f"{nodes} nodes with at most {places} shares in a cycle take turns of {repetition} "
             f"cycles, but the longest turn is {longest}; allow more slots or longer turns"
         )
-    return tuple(Turn(node % repetition, repetition) for node in range(nodes))
+    return tuple(CycleTurn(node % repetition, repetition) for node in range(nodes))
 
 
-def best_turns(nodes: int, places: int, longest: int, cost: Cost) -> TurnDesign:
+def best_turns(nodes: int, places: int, longest: int, cost: TurnCost) -> TurnDesign:
     """Return the turns of least cost in which at most `places` nodes send in a cycle.
 
     Repetitions are powers of two up to `longest`. Where there are too many combinations to try
@@ -62,7 +62,7 @@ def best_turns(nodes: int, places: int, longest: int, cost: Cost) -> TurnDesign:
         DemandError: no turns fit.
     """
     begun = equal_turns(nodes, places, longest)
-    every = [Turn(base, 1 << k) for k in range(longest.bit_length()) for base in range(1 << k)]
+    every = [CycleTurn(base, 1 << k) for k in range(longest.bit_length()) for base in range(1 << k)]
     if len(every) ** nodes <= _MOST_TRIED:
         tried = (turns for turns in product(every, repeat=nodes) if _fits(turns, places, longest))
         best = min((cost(turns), turns) for turns in tried)
@@ -80,9 +80,9 @@ def best_turns(nodes: int, places: int, longest: int, cost: Cost) -> TurnDesign:
             return TurnDesign(turns, least, False)
 
 
-def places_of_turns(turns: Sequence[Turn]) -> tuple[int, ...]:
+def places_of_turns(turns: Sequence[CycleTurn]) -> tuple[int, ...]:
     """Return the place in the cycle of each node: the first that is free in all its cycles."""
-    taken: dict[int, list[Turn]] = {}
+    taken: dict[int, list[CycleTurn]] = {}
     found: dict[int, int] = {}
     for node in sorted(range(len(turns)), key=lambda one: (turns[one].repetition, one)):
         place = 0
@@ -93,7 +93,9 @@ def places_of_turns(turns: Sequence[Turn]) -> tuple[int, ...]:
     return tuple(found[node] for node in range(len(turns)))
 
 
-def _changes(turns: tuple[Turn, ...], every: Sequence[Turn]) -> Iterator[tuple[Turn, ...]]:
+def _changes(
+    turns: tuple[CycleTurn, ...], every: Sequence[CycleTurn]
+) -> Iterator[tuple[CycleTurn, ...]]:
     for node in range(len(turns)):
         for turn in every:
             if turn != turns[node]:
@@ -105,13 +107,13 @@ def _changes(turns: tuple[Turn, ...], every: Sequence[Turn]) -> Iterator[tuple[T
             yield tuple(swapped)
 
 
-def _fits(turns: Sequence[Turn], places: int, longest: int) -> bool:
+def _fits(turns: Sequence[CycleTurn], places: int, longest: int) -> bool:
     sent = Counter(
         cycle for turn in turns for cycle in range(turn.base_cycle, longest, turn.repetition)
     )
     return max(sent.values()) <= places
 
 
-def _meet(one: Turn, other: Turn) -> bool:
+def _meet(one: CycleTurn, other: CycleTurn) -> bool:
     shorter = min(one.repetition, other.repetition)
     return one.base_cycle % shorter == other.base_cycle % shorter
