@@ -11,6 +11,15 @@ class ClockDrift(NamedTuple):
     first_cycle: int
 
 
+class SyncOutage(NamedTuple):
+    """No other node receives the sync frames of a node from a cycle on, and before `end_cycle`;
+    None is an outage without an end."""
+
+    node: int
+    first_cycle: int
+    end_cycle: int | None = None
+
+
 class ClockErrors(NamedTuple):
     """The clocks of all nodes in a cycle.
 
@@ -29,6 +38,22 @@ class ClockErrors(NamedTuple):
 class KeepsClocks(Protocol):
     """A bus whose nodes synchronise their clocks. Without it clocks drift uncorrected."""
 
-    def clock_errors(self, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int) -> ClockErrors:
-        """Return the clocks of so many nodes in a cycle where some oscillators drift."""
+    @property
+    def sync_nodes(self) -> tuple[int, ...]:
+        """Return the nodes that send sync frames.
+
+        Numbers beyond the network are other controllers. It is empty where all sync frames are
+        theirs.
+        """
+        ...
+
+    def clock_errors(
+        self,
+        nodes: int,
+        drifts: tuple[ClockDrift, ...],
+        outages: tuple[SyncOutage, ...],
+        cycle: int,
+    ) -> ClockErrors:
+        """Return the clocks of so many nodes in a cycle where some oscillators drift, and where
+        the sync frames of some nodes are missing."""
         ...

@@ -5,7 +5,7 @@ every node has finished the step before. So all nodes apply it at once, in every
 is the sum of all changes so far.
 """
 
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 from msgspec.structs import replace
@@ -115,6 +115,7 @@ class Standing(msgspec.Struct, frozen=True):
 
     Attributes:
         absent: nodes that are out. settings: fields of the scenario that were set.
+        out_since: nodes that are out, each with the step from which it is.
         loss: of every link that has none of its own, None for the scenario's.
         losses: (sender, receiver, probability) of links that have. cuts: (sender, receiver).
         first_step, first_cycle: where the present settings begin.
@@ -129,6 +130,19 @@ class Standing(msgspec.Struct, frozen=True):
     first_step: int = 0
     first_cycle: int = 0
     faults: tuple[Fault, ...] = ()
+    out_since: tuple[tuple[int, int], ...] = ()
+
+    def left(self, node: int, step: int) -> Self:
+        """Return the state in which a node is out from a step on, if it was not out before."""
+        absent = tuple(sorted({*self.absent, node}))
+        since = {node: step, **dict(self.out_since)}
+        return replace(self, absent=absent, out_since=tuple(sorted(since.items())))
+
+    def joined(self, node: int) -> Self:
+        """Return the state in which a node takes part."""
+        absent = tuple(one for one in self.absent if one != node)
+        since = tuple(one for one in self.out_since if one[0] != node)
+        return replace(self, absent=absent, out_since=since)
 
 
 UNCHANGED = Standing()
@@ -147,9 +161,9 @@ def after(standing: Standing, step: int, change: Change) -> Standing:
     """Return the state of the network from `step` on, when a change takes effect there."""
     match change:
         case Left(node) | Gone(node):
-            return replace(standing, absent=tuple(sorted({*standing.absent, node})))
+            return standing.left(node, step)
         case Joined(node):
-            return replace(standing, absent=tuple(i for i in standing.absent if i != node))
+            return standing.joined(node)
         case Cut(sender, receiver):
             return replace(standing, cuts=tuple(sorted({*standing.cuts, (sender, receiver)})))
         case Healed(sender, receiver):

@@ -9,7 +9,8 @@ from collections.abc import Collection
 from msgspec.structs import replace
 
 from concord.bus.bus import Fragment, Rejected, SharePlace
-from concord.nodes.faults.links import Arrival, Passage, arrival
+from concord.nodes.faults.collisions import Passage
+from concord.nodes.faults.links import Arrival, arrival
 from concord.nodes.faults.losses import hears
 from concord.nodes.faults.senders import spoofed
 from concord.nodes.messages import ShareHeard
@@ -143,7 +144,7 @@ def _file(
     )
     if not arrives:
         return _keep(config, count(state, "lost"), key, place, fragment.frame_id, None)
-    if config.faults.standing:
+    if config.faults.are_active:
         return _hear_faulty(config, state, sender, fragment, place, frame)
     return _keep(config, state, key, place, fragment.frame_id, fragment.data)
 

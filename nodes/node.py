@@ -22,6 +22,7 @@ from concord.nodes.changes import Gone
 from concord.nodes.due_frames import take_due
 from concord.nodes.estimates import estimate_of
 from concord.nodes.faults.active import hangs, has_lost_clock, is_silent
+from concord.nodes.faults.retries import failed_frames
 from concord.nodes.faults.senders import spoken
 from concord.nodes.inbox import (
     EARLY_CYCLES,
@@ -80,7 +81,7 @@ def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
     missing = list(_due(config, state))
     if came:
         missing = [j for j in missing if (cycle, j) not in came]
-    if not (missing and config.faults.standing):
+    if not (missing and config.faults.are_active):
         return missing
     overtaken = state.inbox.overtaken
     return [
@@ -222,7 +223,7 @@ def _send(
     config: NodeConfig, state: NodeState, outbox: list[NodeMessage], urgency_class: int = 0
 ) -> NodeState:
     faults, step, cycle = config.faults, state.step, state.cycle
-    if faults.standing and is_silent(faults, step, cycle, config.index):
+    if faults.are_active and is_silent(faults, step, cycle, config.index):
         return count(state, "silent")
     content, body = config.estimator.compose(state.content)
     if faults.standing:
@@ -230,6 +231,9 @@ def _send(
     frames = config.bus.encode(config.index, cycle, body, urgency_class)
     outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
     counters = counted(state.counters, *["sent" for _ in frames])
+    if faults.standing and faults.equipment.retransmissions:
+        failed = failed_frames(faults, step, cycle, config.index, frames, config.bus)
+        counters = counted(counters, *["error frame"] * failed)
     return replace(state, content=content, counters=counters)
 
 

@@ -80,7 +80,7 @@ class NodeConfig:
     @cached_property
     def hears_all(self) -> bool:
         """Whether frames arrive as they were sent."""
-        return self.links.perfect and not self.faults.standing
+        return self.links.perfect and not self.faults.are_active
 
     @cached_property
     def _period(self) -> int:

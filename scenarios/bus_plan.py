@@ -240,7 +240,13 @@ def _can_fd(chosen: CanFd, asked: BusRequest) -> Bus:
     bits = IDENTIFIER_BITS[chosen.identifiers]
     rates = Rates(bits, chosen.nominal_kbit_s, chosen.data_kbit_s)
     return can_fd_bus(
-        asked.schedule, asked.share_bytes, asked.arbiter, asked.classes, rates, asked.bid_span
+        asked.schedule,
+        asked.share_bytes,
+        asked.arbiter,
+        asked.classes,
+        rates,
+        asked.bid_span,
+        chosen.retransmissions,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.bus.clocks import KeepsClocks
+from concord.bus.retransmissions import retransmits
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import Equipment, Faults
 from concord.scenarios.catalogue import definition_of
@@ -47,7 +48,9 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
             states = len(setup.prior_mean)
             form = rule.share.codec(number, states, scenario.nodes).form
             codec = BeliefCodec(states, number, form)
-    clocks = partial(bus.clock_errors, scenario.nodes) if isinstance(bus, KeepsClocks) else None
+    clocks, sync = None, ()
+    if isinstance(bus, KeepsClocks):
+        clocks, sync = partial(bus.clock_errors, scenario.nodes), bus.sync_nodes
     return Equipment(
         bus.channels,
         bus.cycle_us,
@@ -56,6 +59,10 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         codec,
         bus.frame_format.noticed_bits,
         clocks,
+        sync,
+        scenario.rounds,
+        bus.retransmissions if retransmits(bus) else 0,
+        setup.neighbours,
     )
 
 

@@ -70,7 +70,7 @@ def observability(setup: Setup, most_steps: int = 60) -> Observability:
                 continue
             seen[node] = True
             for reading in delivered[node]:
-                gramian[node] += _told(sensor, reading, state, scale, ahead, step)
+                gramian[node] += told(sensor, reading, state, scale, ahead, step)
         move = partial(model.transition, control=None, step=step)
         ahead = jacobian(move, state, scale, np.subtract) @ ahead
         state = plant.advance(state, None, draws.process[step], step)
@@ -101,7 +101,7 @@ def jacobian(
     return (sides / (2 * step)[:, None]).T
 
 
-def _told(
+def told(
     sensor: Sensor,
     reading: np.ndarray,
     state: np.ndarray,
@@ -109,7 +109,10 @@ def _told(
     ahead: np.ndarray,
     step: int,
 ) -> np.ndarray:
-    """Information (n, n) of one reading (d,) about the first state."""
+    """Return the information (n, n) of one reading (d,) about the first state.
+
+    `ahead` (n, n) is the derivative of `state` to the first one.
+    """
     if np.isnan(reading).all():
         return np.zeros((len(state), len(state)))
     _, noise_cov = sensor.interpret(reading)

@@ -19,6 +19,8 @@ _COUNT_BITS = 4
 _FIXED_STUFF_EVERY = 4
 # CRC delimiter, acknowledge slot and delimiter, end of frame; then the intermission.
 _END_BITS, INTERMISSION_BITS = 10, 3
+# An error flag with its superposition, at most 12 bits, and a delimiter of 8 bits (10.7).
+ERROR_FRAME_BITS = 20
 _RUN = 5
 
 

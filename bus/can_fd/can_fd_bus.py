@@ -7,7 +7,13 @@ from itertools import zip_longest
 
 from concord.bus.arbitration import Arbiter, LosingBids, largest_bid, lowest_frame_id
 from concord.bus.bus import Transmission
-from concord.bus.can_fd.bits import INTERMISSION_BITS, FrameBits, Rates, longest_bits
+from concord.bus.can_fd.bits import (
+    ERROR_FRAME_BITS,
+    INTERMISSION_BITS,
+    FrameBits,
+    Rates,
+    longest_bits,
+)
 from concord.bus.can_fd.frame import FRAMINGS
 from concord.bus.can_fd.priority import BidLevels, layout
 from concord.bus.can_fd.response_times import Message, response_times
@@ -24,6 +30,10 @@ class CanFdBus(IdentifiedBus):
 
     All shares of a cycle ask for the bus at its beginning and are sent in the order of their
     identifiers. Frames count with the most stuff bits, so that times depend on lengths alone.
+
+    A frame that ends in an error is sent again, `retransmissions` times at most. No waiting frame
+    has a lower identifier, so it wins the next arbitration. An error counts as if it came with the
+    last bit of the frame, and each error frame has its greatest length.
     """
 
     name = "can-fd"
@@ -36,10 +46,12 @@ class CanFdBus(IdentifiedBus):
         arbiter: Arbiter,
         classes: BidClasses,
         rates: Rates,
+        retransmissions: int = 0,
     ) -> None:
         framing = FRAMINGS[rates.identifier_bits]
         super().__init__(schedule, share_bytes, framing, arbiter, classes)
         self.rates = rates
+        self.retransmissions = retransmissions
         self._layout = layout(schedule.nodes, rates.identifier_bits, classes.count)
 
     def identifiers(self, node: int, cycle: int) -> range:
@@ -59,6 +71,26 @@ class CanFdBus(IdentifiedBus):
         """Return the longest time of a frame with so many data bytes, without intermission."""
         return self.rates.us(longest_bits(self.rates.identifier_bits, size))
 
+    def failed_us(self, payload_bytes: int) -> float:
+        """Return the time of a frame that ends in an error, until the next one may begin."""
+        return float(self._failed_us(payload_bytes))
+
+    def delays_us(self, cycle: Sequence[Transmission], failed: Sequence[int]) -> tuple[float, ...]:
+        """Return the delays of frames by errors (`concord.bus.retransmissions.Retransmits`)."""
+        found: list[float] = []
+        late_us = 0.0
+        for frame, tries in zip(cycle, failed, strict=True):
+            found.append(late_us)
+            late_us += tries * self.failed_us(frame.payload_bytes)
+            if tries > self.retransmissions:
+                # No try of this frame was without an error.
+                late_us -= frame.end_us - frame.start_us + float(self._intermission_us)
+        return tuple(found)
+
+    def _failed_us(self, size: int) -> Fraction:
+        error = self.rates.us(FrameBits(ERROR_FRAME_BITS + INTERMISSION_BITS, 0))
+        return self.frame_us(size) + error
+
     def cycle_of_senders_us(self, senders: int) -> float:
         """Return the time in which so many nodes send their longest shares."""
         return float(senders * self._share_us)
@@ -72,7 +104,7 @@ class CanFdBus(IdentifiedBus):
     def _worst_access_us(self) -> float:
         senders = round(self.cycle_us / float(self._share_us))
         period = senders * self._share_us
-        times = [self.frame_us(size) + self._intermission_us for size in self._longest] * senders
+        times = [self._tries_us(size) for size in self._longest] * senders
         messages = [Message(place, time, period) for place, time in enumerate(times)]
         bit_us = self.rates.us(FrameBits(1, 0))
         worst = [one.worst_us for one in response_times(messages, bit_us)]
@@ -116,8 +148,12 @@ class CanFdBus(IdentifiedBus):
 
     @cached_property
     def _share_us(self) -> Fraction:
-        times = (self.frame_us(size) + self._intermission_us for size in self._longest)
-        return sum(times, Fraction(0))
+        return sum(map(self._tries_us, self._longest), Fraction(0))
+
+    def _tries_us(self, size: int) -> Fraction:
+        """The longest time of a frame with all its tries, until the next frame may begin."""
+        failed_us = self.retransmissions * self._failed_us(size)
+        return failed_us + self.frame_us(size) + self._intermission_us
 
 
 def can_fd_bus(
@@ -127,10 +163,12 @@ def can_fd_bus(
     classes: BidClasses,
     rates: Rates,
     bid_span: tuple[int, int] | None = None,
+    retransmissions: int = 0,
 ) -> CanFdBus:
     """Return the bus of a schedule whose shares have at most that many bytes.
 
     bid_span: least and largest bid, where bids are logarithms (`BidLevels`).
+    retransmissions: how often a frame is sent again after an error, at most.
 
     Raises:
         ValueError: the data rate is below the nominal one, or identifiers are too short.
@@ -142,5 +180,5 @@ def can_fd_bus(
         )
     if arbiter.urgency is largest_bid and any(schedule.dynamic_slot_table):
         levels = layout(schedule.nodes, rates.identifier_bits, 1).levels
-        return CanFdBus(schedule, share_bytes, _BY_BID, BidLevels(levels, bid_span), rates)
-    return CanFdBus(schedule, share_bytes, arbiter, classes, rates)
+        arbiter, classes = _BY_BID, BidLevels(levels, bid_span)
+    return CanFdBus(schedule, share_bytes, arbiter, classes, rates, retransmissions)

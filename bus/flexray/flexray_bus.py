@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 
 from concord.bus.arbitration import Arbiter, Fits
 from concord.bus.bus import SegmentTime, Transmission
-from concord.bus.clocks import ClockDrift, ClockErrors
+from concord.bus.clocks import ClockDrift, ClockErrors, SyncOutage
 from concord.bus.flexray.channels.counters import SlotCounters
 from concord.bus.flexray.channels.plan import ChannelPlan
-from concord.bus.flexray.clocks.drifting import clock_errors
+from concord.bus.flexray.clocks.disturbances import Disturbances
+from concord.bus.flexray.clocks.disturbed import clock_errors
+from concord.bus.flexray.clocks.settings import SyncNode
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request
 from concord.bus.flexray.message_slot import MessageSlot
-from concord.bus.flexray.publication import Publications
+from concord.bus.flexray.publication import Publications, sync_nodes_of
 from concord.bus.flexray.relay import check_relay
 from concord.bus.flexray.share_frames import null_frame, payload_lengths
 from concord.bus.flexray.slot_table import SlotTable, allocate, check_reachable
@@ -81,14 +83,26 @@ class FlexRayBus(SlottedBus):
             offsets.append(self.cluster.minislot_action_point_us)
         return min(offsets)
 
-    def clock_errors(self, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int) -> ClockErrors:
-        """Return the clocks of so many nodes in a cycle where some oscillators drift.
+    @property
+    def sync_nodes(self) -> tuple[int, ...]:
+        """The nodes that send sync frames (`concord.bus.clocks.KeepsClocks`)."""
+        return tuple(one.node for one in self._sync)
+
+    def clock_errors(
+        self,
+        nodes: int,
+        drifts: tuple[ClockDrift, ...],
+        outages: tuple[SyncOutage, ...],
+        cycle: int,
+    ) -> ClockErrors:
+        """Return the clocks of so many nodes in a cycle where some oscillators drift, and where
+        the sync frames of some nodes are missing.
 
         Oscillators drift and clocks are corrected in all cycles, also in those between the steps.
         """
         number = self.timebase.bus_cycle
-        begun = tuple(one._replace(first_cycle=number(one.first_cycle)) for one in drifts)
-        return clock_errors(self.cluster, nodes, begun, number(cycle))
+        disturbed = Disturbances(drifts, outages).renumbered(number)
+        return clock_errors(self.cluster, nodes, disturbed, number(cycle), self._sync)
 
     def segments(self) -> tuple[SegmentTime, ...]:
         """Return the segments of a cycle, in order."""
@@ -174,6 +188,10 @@ class FlexRayBus(SlottedBus):
         requests = self.table.requests(self.table.classes - 1)
         worst = [requests[node] for node in self._contenders]
         return self._counters.most_fit(worst, self._most_winners)
+
+    @cached_property
+    def _sync(self) -> tuple[SyncNode, ...]:
+        return sync_nodes_of(self.table, self.cluster, self.schedule.nodes)
 
     @cached_property
     def _all_fit(self) -> bool:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from concord.bus.flexray.channels.plan import STARTUP_NODES
 from concord.bus.flexray.clock_constraints import MOST_SYNC_NODES
+from concord.bus.flexray.clocks.settings import SyncNode
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.frame import Channel
 from concord.bus.flexray.slot_table import SlotAssignment, SlotTable
@@ -43,13 +44,7 @@ def key_slots(table: SlotTable, cluster: Cluster) -> tuple[frozenset[int], froze
     of them start the cluster. One node alone keeps no time with others, and a bus of turns has no
     key slots at all.
     """
-    owners: dict[int, int] = {}
-    used = {letter for slot in table.assignments for letter in slot.channel}
-    for slot in table.assignments:
-        is_static = slot.frame_id < table.first_dynamic_id
-        if is_static and slot.repetition == 1 and set(slot.channel) == used:
-            owners.setdefault(slot.node, slot.frame_id)
-    owned = sorted(owners.values())
+    owned = sorted(_possible_key_slots(table))
     if cluster.sync_slots:
         sync = [slot for slot in owned if slot in cluster.sync_slots]
         return frozenset(sync), frozenset(sync).intersection(cluster.startup_slots)
@@ -57,6 +52,33 @@ def key_slots(table: SlotTable, cluster: Cluster) -> tuple[frozenset[int], froze
         return frozenset(), frozenset()
     sync = owned[: cluster.sync_nodes_most or MOST_SYNC_NODES]
     return frozenset(sync), frozenset(sync[:STARTUP_NODES])
+
+
+def sync_nodes_of(table: SlotTable, cluster: Cluster, nodes: int) -> tuple[SyncNode, ...]:
+    """Return the sync nodes of a cluster with a network of so many nodes, by key slot.
+
+    Key slots that the cluster states and no node of the network owns belong to other controllers,
+    numbered from `nodes` on. Empty where no node of the network has a key slot.
+    """
+    owners = _possible_key_slots(table)
+    sync, startup = key_slots(table, cluster)
+    numbers = {slot: owners[slot] for slot in sync}
+    if numbers:
+        others = sorted(set(cluster.sync_slots) - sync)
+        numbers |= {slot: nodes + place for place, slot in enumerate(others)}
+    starters = startup.union(cluster.startup_slots)
+    return tuple(SyncNode(numbers[slot], slot, slot in starters) for slot in sorted(numbers))
+
+
+def _possible_key_slots(table: SlotTable) -> dict[int, int]:
+    """The first slot that each node owns in every cycle and on all channels, with its node."""
+    first: dict[int, int] = {}
+    used = {letter for slot in table.assignments for letter in slot.channel}
+    for slot in table.assignments:
+        is_static = slot.frame_id < table.first_dynamic_id
+        if is_static and slot.repetition == 1 and set(slot.channel) == used:
+            first.setdefault(slot.node, slot.frame_id)
+    return {frame_id: node for node, frame_id in first.items()}
 
 
 class Publications:

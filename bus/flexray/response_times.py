@@ -8,6 +8,10 @@ integer program while it is small, bounded from above otherwise.
 
 A message buffer holds the newest value: a request that meets a waiting one is sent with it. The
 response is that of the oldest request of a transmission.
+
+A node with frames of several urgency classes sends those of one class in a cycle. As a rival it
+counts once in a cycle, with its longest class. Its own other classes are no rivals, but once it has
+sent in one of them, a request waits for the next cycle.
 """
 
 import math
@@ -75,7 +79,9 @@ class ResponseTimes:
                 for other in lower
                 if other.slot.frame_id < slot.frame_id
                 and set(other.slot.channel) & set(slot.channel)
+                and not is_alternative(other.slot, slot)
             ]
+            rivals = _one_class_each(rivals)
             response, delay_us = self._bounded(frame, rivals)
             found.append(response)
             lower.append(frame._replace(delay_us=delay_us))
@@ -138,7 +144,16 @@ class ResponseTimes:
                 break
         behind = min(frame.place + self._most_before(frame, rivals), frame.latest)
         wait_us = (filled + 1) * slot.repetition * cluster.cycle_us
-        delay_us = wait_us + (behind - frame.place) * cluster.minislot_us
+        # A node that has sent in a class before this one sends no more in that cycle.
+        missed = min(
+            (
+                one.frame_id - cluster.static_slots
+                for one in self._slots
+                if one.frame_id > cluster.static_slots and is_alternative(one, slot)
+            ),
+            default=frame.place,
+        )
+        delay_us = wait_us + (behind - min(missed, frame.place)) * cluster.minislot_us
         end_us = cluster.minislot_action_point_us + cluster.frame_us(slot.payload_bytes)
         return FrameResponse(slot, delay_us + end_us, filled, exact), delay_us
 
@@ -187,6 +202,33 @@ class ResponseTimes:
         spread_us = (rival.latest - rival.place) * self._cluster.minislot_us
         span_us = cycles * self._cluster.cycle_us + spread_us + rival.delay_us
         return 1 + int(span_us / rival.period_us + 1e-9)
+
+
+def is_alternative(one: MessageSlot, other: MessageSlot) -> bool:
+    """Return whether a node never sends both of these dynamic frames in one cycle."""
+    return one.node == other.node and one.urgency_class != other.urgency_class
+
+
+def _one_class_each(rivals: Sequence[_Dynamic]) -> list[_Dynamic]:
+    """Return rivals with one entry for each node that has frames of several classes.
+
+    The entry has the minislots of the node's longest class, and may be sent in each of its cycles.
+    Frames in different cycles or on different channels stay rivals of their own.
+    """
+    classes: dict[int, dict[int, list[_Dynamic]]] = {}
+    for one in rivals:
+        classes.setdefault(one.slot.node, {}).setdefault(one.slot.urgency_class, []).append(one)
+    found: list[_Dynamic] = []
+    for of_node in classes.values():
+        frames = [one for of_class in of_node.values() for one in of_class]
+        ways = {(one.slot.channel, one.slot.base_cycle, one.slot.repetition) for one in frames}
+        if len(of_node) == 1 or len(ways) > 1:
+            found += frames
+            continue
+        longest = max(of_node.values(), key=lambda of_class: sum(one.extra for one in of_class))
+        extra = sum(one.extra for one in longest)
+        found.append(longest[0]._replace(extra=extra, delay_us=None))
+    return found
 
 
 def _coverable(

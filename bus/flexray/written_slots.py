@@ -132,19 +132,23 @@ def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]
     for slot in table.assignments:
         if slot.frame_id >= table.first_dynamic_id:
             ids[slot.node].append(slot.frame_id)
-    lengths = {
-        frame_id: table.dynamic_payloads[place % len(table.dynamic_payloads)]
-        for owned in ids.values()
+    frames = len(table.dynamic_payloads)
+    places = {
+        (node, frame_id): divmod(place, frames)
+        for node, owned in ids.items()
         for place, frame_id in enumerate(sorted(owned))
     }
     return tuple(
         MessageSlot(
             frame_id=slot.frame_id,
-            payload_bytes=lengths.get(slot.frame_id, cluster.static_payload_bytes),
+            payload_bytes=table.dynamic_payloads[places[slot.node, slot.frame_id][1]]
+            if slot.frame_id >= table.first_dynamic_id
+            else cluster.static_payload_bytes,
             node=slot.node,
             channel=slot.channel,
             base_cycle=slot.base_cycle,
             repetition=slot.repetition,
+            urgency_class=places.get((slot.node, slot.frame_id), (0, 0))[0],
         )
         for slot in sorted(table.assignments, key=lambda one: (one.frame_id, one.base_cycle))
     )

@@ -9,6 +9,7 @@ from concord.experiments.flexray.plans import plan, show
 from concord.experiments.flexray.recordings import decode, fit
 from concord.experiments.flexray.response_times import wcrt
 from concord.experiments.flexray.slot_designs import design_slots_command
+from concord.experiments.flexray.turn_designs import design_turns_command
 
 SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
 _COMMANDS = {
@@ -20,6 +21,7 @@ _COMMANDS = {
     "wcrt": wcrt,
     "clocks": clocks,
     "design-slots": design_slots_command,
+    "design-turns": design_turns_command,
     "convert": convert,
 }
 

@@ -12,6 +12,7 @@ follow from the slot table; faults strike frames of shares alone.
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import groupby
 from math import ceil
 from typing import NamedTuple
 
@@ -21,11 +22,14 @@ from concord.bus.bus import Bus, FrameFormat, Rejected, Transmission
 from concord.bus.captured import Captured
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import FrameError
+from concord.bus.retransmissions import Retransmits, retransmits
 from concord.experiments.results.bus_report import SentShares, timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
-from concord.nodes.faults.active import Faults, hangs
-from concord.nodes.faults.links import Passage, carries, collides
+from concord.nodes.faults.active import Faults, sends_nothing
+from concord.nodes.faults.collisions import Passage, collides
+from concord.nodes.faults.links import carries
+from concord.nodes.faults.retries import failed_tries, is_given_up, without_errors
 from concord.nodes.faults.senders import sent
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.build import build_bus
@@ -43,7 +47,8 @@ class FrameOnBus(NamedTuple):
     """A frame of a share as its sender meant it.
 
     `way` is that to one receiver, `frames` how many its share has, `place` its place in the cycle,
-    and `time_us` its beginning from that of the run.
+    and `time_us` its beginning from that of the run. On a bus with automatic retransmission that is
+    the beginning of the first try; `failed` tries of `failed_us` each end in an error.
     """
 
     data: bytes
@@ -51,6 +56,13 @@ class FrameOnBus(NamedTuple):
     frames: int
     place: Transmission
     time_us: float
+    failed: int = 0
+    failed_us: float = 0.0
+
+    @property
+    def last_us(self) -> float:
+        """When the try begins that has no error."""
+        return self.time_us + self.failed * self.failed_us
 
 
 class Traffic(NamedTuple):
@@ -146,7 +158,33 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
             case Event() as event:
                 events.append(event)
     standing = _standing(events, len(trace.payload_bytes))
-    return Traffic(bus, build_faults(setup, bus), frames, standing)
+    traffic = Traffic(bus, build_faults(setup, bus), frames, standing)
+    return traffic._replace(frames=list(_with_tries(traffic, bus))) if retransmits(bus) else traffic
+
+
+def _with_tries(traffic: Traffic, bus: Retransmits) -> Iterator[FrameOnBus]:
+    """Yield the frames of all cycles with the tries that end in an error."""
+    ordered = sorted(traffic.frames, key=lambda one: (one.way.cycle, one.place.start_us))
+    for _, cycle in groupby(ordered, key=lambda one: one.way.cycle):
+        frames = list(cycle)
+        failed = [
+            failed_tries(traffic.faults(one.way.step), one.way, traffic.bus.schedule)
+            for one in frames
+        ]
+        delays = bus.delays_us([one.place for one in frames], failed)
+        for one, tries, delay_us in zip(frames, failed, delays, strict=True):
+            yield one._replace(
+                time_us=one.time_us + delay_us,
+                failed=tries,
+                failed_us=bus.failed_us(one.place.payload_bytes),
+            )
+
+
+def error_frames(frame: FrameOnBus) -> Iterator[Captured]:
+    """Yield the tries of a frame that end in an error."""
+    for place in range(frame.failed):
+        time_us = frame.time_us + place * frame.failed_us
+        yield Captured(time_us, frame.data, frame.place.channel, collision=True)
 
 
 def on_the_wire(traffic: Traffic, frame: FrameOnBus) -> Iterator[Captured]:
@@ -157,12 +195,17 @@ def on_the_wire(traffic: Traffic, frame: FrameOnBus) -> Iterator[Captured]:
         for channel in frame.place.channel:
             yield Captured(frame.time_us, formats.on_channel(frame.data, channel), channel)
         return
+    yield from error_frames(frame)
+    if is_given_up(faults, frame.failed):
+        return
+    if frame.failed:
+        faults = without_errors(faults)
     whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame.data, traffic.bus)
     collision = collides(faults, way, traffic.bus.schedule)
     for channel in frame.place.channel:
         if carries(faults, way, channel):
             body = on_channel(formats, whole, channel)
-            yield Captured(frame.time_us, body, channel, collision)
+            yield Captured(frame.last_us, body, channel, collision)
 
 
 def on_channel(frames: FrameFormat, data: bytes, channel: str) -> bytes:
@@ -217,10 +260,11 @@ def _between_steps(traffic: Traffic, steps: int, rounds: int) -> Iterator[Captur
         if first[step] <= number < first[step] + rounds:
             continue
         faults, absent = traffic.faults(step), traffic.standing[step].absent
+        last = (step + 1) * rounds - 1
         nodes = [
             node
             for node in range(bus.schedule.nodes)
-            if node not in absent and not hangs(faults, step, node)
+            if node not in absent and not sends_nothing(faults, step, last, node)
         ]
         yield from _null_frames(bus, number, number, nodes)
 

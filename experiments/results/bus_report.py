@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from concord.bus.bus import Bus, Transmission
+from concord.bus.retransmissions import retransmits
 from concord.experiments.results.trace import Trace
 from concord.scenarios.build import build_bus
 from concord.scenarios.setup import Setup
@@ -29,6 +30,8 @@ class BusFigures(msgspec.Struct, frozen=True):
         channel_loads: mean share of a cycle in which each channel carries frames.
         wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
             padding, and how long they keep the bus busy.
+        error_frames: tries of frames that ended in an error, on a bus that sends them again;
+            `error_us_per_step` is their time, with the tries themselves.
         delay_us_mean, delay_us_max: from a measurement to the last share of its step; `wait_us_max`
             of it is the longest wait for the step's first cycle.
         worst_access_us: bound from the request of a share at any moment to its last bit, whatever
@@ -59,6 +62,8 @@ class BusFigures(msgspec.Struct, frozen=True):
     load_all: float
     wire_bytes_per_step: float
     wire_us_per_step: float
+    error_frames: int
+    error_us_per_step: float
     delay_us_mean: float
     delay_us_max: float
     wait_us_max: float
@@ -115,7 +120,8 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
         for node, neighbours in enumerate(setup.neighbours)
     ]
     sent = SentShares(trace.payload_bytes, trace.classes)
-    return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1))
+    errors = [one.get("error frame", 0) for one in trace.counters]
+    return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1), errors)
 
 
 def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
@@ -131,11 +137,18 @@ def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
     return [bus.transmissions(cycle, *row) for cycle, row in enumerate(zip(*rows, strict=True))]
 
 
-def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarray) -> BusFigures:
+def bus_figures(
+    bus: Bus,
+    shares: SentShares,
+    asked: np.ndarray,
+    ages: np.ndarray,
+    errors: Sequence[int] = (),
+) -> BusFigures:
     """Return the figures of a bus with time.
 
     `shares` (steps, rounds, N) were sent, `asked` tells who asked for the dynamic segment; `ages`
-    (steps, any) are those of the shares behind the estimates, -1 where there was none.
+    (steps, any) are those of the shares behind the estimates, -1 where there was none. `errors`
+    (N,): tries of each node's frames that ended in an error.
     """
     cycles, timebase = timetable(bus, shares), bus.timebase
     steps, rounds, nodes = shares.payload_bytes.shape
@@ -165,6 +178,8 @@ def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarra
         load_all=sum(load) / cycles_all,
         wire_bytes_per_step=wire_bytes_per_step,
         wire_us_per_step=wire_us_per_step,
+        error_frames=sum(errors),
+        error_us_per_step=_errors_us(bus, sent_frames, errors) / steps,
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
         wait_us_max=max(timebase.wait_us(step) for step in range(steps)),
@@ -209,6 +224,18 @@ def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tupl
     overhead_bytes = bus.frame_format.overhead_bytes
     wire_bytes = sum(frame.payload_bytes + overhead_bytes for frame in frames)
     return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
+
+
+def _errors_us(bus: Bus, frames: Sequence[Transmission], errors: Sequence[int]) -> float:
+    """Return the time of failed tries; those of a node last as long as its frames on average."""
+    if not (retransmits(bus) and any(errors)):
+        return 0.0
+    total_us = 0.0
+    for node, count in enumerate(errors):
+        if count:
+            own = [bus.failed_us(one.payload_bytes) for one in frames if one.node == node]
+            total_us += count * float(np.mean(own))
+    return total_us
 
 
 def _channel_loads(bus: Bus, frames: Sequence[Transmission], cycles: int) -> dict[str, float]:
@@ -292,6 +319,11 @@ def lines(figures: BusFigures) -> list[str]:
         f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
         "us per step",
     ]
+    if figures.error_frames:
+        text.append(
+            f"errors: {figures.error_frames} tries of frames failed and were sent again or given "
+            f"up; they take {figures.error_us_per_step:.0f} us more per step"
+        )
     if figures.worst_access_us is not None:
         text.append(
             f"worst access {figures.worst_access_us / 1e3:.4g} ms: from the request of a share at "

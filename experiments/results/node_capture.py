@@ -11,12 +11,14 @@ from concord.bus.captured import Captured
 from concord.experiments.results.bus_capture import (
     FrameOnBus,
     Traffic,
+    error_frames,
     in_order,
     on_channel,
     on_the_wire,
 )
 from concord.nodes.faults.links import arrival, carries
 from concord.nodes.faults.losses import LinkState, hears
+from concord.nodes.faults.retries import without_errors
 from concord.nodes.faults.senders import sent
 from concord.nodes.node_changes import with_standing
 from concord.scenarios.links import link_state
@@ -45,10 +47,13 @@ def _arrived(
     ):
         return
     faults = traffic.faults(way.step)
+    yield from error_frames(frame)
     came = arrival(faults, way, frame.data, traffic.bus)
     collision = came.counted == ("rejected collision",)
     if not (came.in_slot or collision):
         return
+    if frame.failed:
+        faults = without_errors(faults)
     whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame.data, traffic.bus)
     # A collision has destroyed the frame, so no bits of it arrived.
     read = came.frame if came.in_slot else whole
@@ -57,4 +62,4 @@ def _arrived(
             right = on_channel(traffic.bus.frame_format, whole, channel)
             flipped = zip(right, whole, read, strict=True)
             data = bytes(byte ^ before ^ after for byte, before, after in flipped)
-            yield Captured(frame.time_us, data, channel, collision)
+            yield Captured(frame.last_us, data, channel, collision)

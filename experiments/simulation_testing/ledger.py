@@ -16,7 +16,7 @@ from concord.experiments.simulation_testing.node_ledger import NodeLedger, Sent
 from concord.experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
 from concord.experiments.simulation_testing.run_record import RunRecord
 from concord.nodes.changes import Welcome
-from concord.nodes.faults.links import Passage
+from concord.nodes.faults.collisions import Passage
 from concord.nodes.faults.losses import hears
 from concord.nodes.messages import CycleClosed, NodeEvent, ShareHeard
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
@@ -135,7 +135,7 @@ class OracleLedger:
         arrives = (sender, receiver) not in self.record.cuts and hears(
             config.links._replace(cuts=frozenset()), step, cycle, sender, receiver, sent.number
         )
-        if arrives and self.record.wrong:
+        if arrives and self.record.faults(config, step).are_active:
             fate = self._fate(config, step, sender, sent)
             self.struck.update(fate.struck)
             ledger.suffer(sender, sent, fate)

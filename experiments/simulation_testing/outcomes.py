@@ -10,8 +10,11 @@ from typing import NamedTuple
 
 from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.faults.active import EVERYBODY, Faults
-from concord.nodes.faults.links import Passage
+from concord.nodes.faults.collisions import Passage
 from concord.nodes.faults.vocabulary import PASSING
+
+# Faults that spoil a frame for all receivers of a bus with automatic retransmission.
+_ERRORS = ("crc", "corrupt", "babble")
 
 
 class Fate(NamedTuple):
@@ -39,6 +42,12 @@ def fate_of(
 ) -> Fate:
     """The fate of a frame that its sender meant to send, in a slot that it won if `is_contended`;
     `has_slot(node)` says who has a slot in its cycle."""
+    if faults.equipment.retransmissions and not _stands_still(faults, way.step, way.receiver):
+        errors = _failed_tries(faults, way, is_contended)
+        if len(errors) > faults.equipment.retransmissions:
+            return Fate(("rejected",), (), False, False, (errors[-1],))
+        fate = fate_of(_sent_once(faults), way, frame, is_contended, has_slot)
+        return fate._replace(struck=(*errors, *fate.struck))
     for word, counted in _obstacles(faults, way, is_contended):
         return Fate((counted,), (), False, False, (word,))
     reading, struck = _reading(faults, way, frame)
@@ -123,6 +132,50 @@ def _obstacles(faults: Faults, way: Passage, is_contended: bool) -> list[tuple[s
     return found
 
 
+def _failed_tries(faults: Faults, way: Passage, is_contended: bool) -> list[str]:
+    """Return the fault word that spoils each failed try of a frame, up to the last possible one."""
+    spoilt: list[str] = []
+    for retry in range(faults.equipment.retransmissions + 1):
+        suffix = f" again {retry}" if retry else ""
+        words = [word for word in _ERRORS if _spoils(faults, way, word, suffix, is_contended)]
+        if not words:
+            break
+        spoilt.append(words[0])
+    return spoilt
+
+
+def _spoils(faults: Faults, way: Passage, word: str, suffix: str, is_contended: bool) -> bool:
+    """Return whether a fault spoils a try; each try has draws of its own."""
+
+    def strikes(node: int, receiver: int, place: tuple[int, ...], number: int) -> bool:
+        chance = _at(faults, word, way.step, *place)
+        draw = faults.draw(word + suffix, way.cycle, node, receiver, number)
+        return chance is not None and draw < chance[0]
+
+    if word == "crc":
+        return strikes(way.sender, EVERYBODY, (way.sender,), way.number)
+    if word == "corrupt":
+        heard_by = enumerate(faults.equipment.neighbours)
+        pairs = [(way.sender, node) for node, heard in heard_by if way.sender in heard]
+        return any(strikes(*pair, pair, way.number) for pair in pairs)
+    if _at(faults, "guardian", way.step) and not is_contended:
+        return False
+    babblers = [nodes[0] for kind, nodes in faults.standing if kind == word]
+    return any(
+        node != way.sender
+        and not _stands_still(faults, way.step, node)
+        and strikes(node, EVERYBODY, (node,), way.frame_id)
+        for node in babblers
+    )
+
+
+def _sent_once(faults: Faults) -> Faults:
+    """Return the faults of a bus that sends each frame once and spoils none."""
+    standing = {place: one for place, one in faults.standing.items() if place[0] not in _ERRORS}
+    once = faults.equipment._replace(retransmissions=0)
+    return faults._replace(standing=standing, equipment=once)
+
+
 def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
     """Return the lead of a node's clock at the end of the frame's cycle."""
     if (clocks := _clocks(faults, way.cycle)) is not None:
@@ -143,7 +196,8 @@ def _clocks(faults: Faults, cycle: int) -> ClockErrors | None:
         if drifting[node,].numbers[0] != 0
     )
     keep = faults.equipment.clocks
-    return None if keep is None or not drifts else keep(drifts, cycle)
+    disturbed = drifts or faults.outages
+    return None if keep is None or not disturbed else keep(drifts, faults.outages, cycle)
 
 
 def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:

@@ -8,22 +8,10 @@ agree. Altered bytes go through the receiver's own checks, which must detect the
 from typing import NamedTuple
 
 from concord.bus.bus import Bus
-from concord.bus.schedule import Schedule
 from concord.nodes.faults.active import EVERYBODY, Faults, hangs
+from concord.nodes.faults.collisions import Passage, collides
+from concord.nodes.faults.retries import failed_tries, is_given_up, without_errors
 from concord.nodes.faults.senders import sent
-
-
-class Passage(NamedTuple):
-    """One frame and its way: number `number` of the share of `sender` in `cycle`, in slot
-    `frame_id` of these channels; empty for all channels of the bus."""
-
-    step: int
-    cycle: int
-    sender: int
-    receiver: int
-    number: int
-    frame_id: int
-    channels: str = ""
 
 
 class Arrival(NamedTuple):
@@ -50,6 +38,10 @@ def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
     halted = clocks is not None and not clocks.hears[way.receiver]
     if halted or hangs(faults, way.step, way.receiver):
         return _nothing("lost")
+    if faults.equipment.retransmissions:
+        if is_given_up(faults, failed_tries(faults, way, bus.schedule)):
+            return _nothing("rejected error-frame")
+        faults = without_errors(faults)
     apart_us = _ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver)
     if abs(apart_us) > faults.equipment.precision_us:
         return _nothing("rejected slot-boundary")
@@ -82,25 +74,6 @@ def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
         return 0.0
     cycles = way.cycle + 1 - faults.first_cycle("drift", node)
     return drift[0] * 1e-6 * cycles * faults.equipment.cycle_us
-
-
-def collides(faults: Faults, way: Passage, schedule: Schedule) -> bool:
-    """Return whether a node babbles in this slot, and nothing blocks it; for every receiver.
-
-    A bus guardian knows the owner of each slot that the schedule gives to one node. It cannot know
-    which contender wins a slot of the dynamic segment (FlexRay bus guardian specification 2.0.9).
-    """
-    owned = way.sender in schedule.static_senders(way.cycle)
-    if owned and faults.at("guardian", way.step):
-        return False
-    babblers = [nodes[0] for kind, nodes in faults.standing if kind == "babble"]
-    for node in babblers:
-        babble = faults.at("babble", way.step, node)
-        if babble is None or node == way.sender or hangs(faults, way.step, node):
-            continue
-        if faults.draw("babble", way.cycle, node, EVERYBODY, way.frame_id) < babble[0]:
-            return True
-    return False
 
 
 def _carried(faults: Faults, way: Passage) -> bool:

@@ -176,6 +176,14 @@ class CanFd(TimedBus, frozen=True, kw_only=True, tag="can-fd"):
     data_kbit_s: Annotated[
         int, Option("Bit rate of the data.", unit="kbit/s", at_least=10, at_most=8000)
     ] = 2000
+    retransmissions: Annotated[
+        int,
+        Option(
+            "How often a frame is sent again after an error; a cycle has time for it.",
+            at_least=0,
+            at_most=16,
+        ),
+    ] = 0
 
 
 class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):

@@ -80,6 +80,7 @@ class ScenarioOptions(TypedDict, total=False):
     identifiers: IDENTIFIERS
     nominal_kbit_s: int
     data_kbit_s: int
+    retransmissions: int
     filter: FILTER
     iterations: int
     bandwidth: float
@@ -149,6 +150,7 @@ class SweptOptions(TypedDict, total=False):
     identifiers: Sequence[IDENTIFIERS] | np.ndarray | IDENTIFIERS
     nominal_kbit_s: Sequence[int] | np.ndarray | int
     data_kbit_s: Sequence[int] | np.ndarray | int
+    retransmissions: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
     bandwidth: Sequence[float] | np.ndarray | float

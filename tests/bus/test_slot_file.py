@@ -57,6 +57,7 @@ GOOD = "[[slots]]\nframe_id = 60\npayload_bytes = 88\n"
         (GOOD + "repetition = 3\n", "1, 2, 4, ..., 64"),
         (GOOD + "repetition = 2\nbase_cycle = 2\n", "must be 0 to 1"),
         (GOOD + "node = -1\n", "nodes are numbered from 0"),
+        (GOOD + "urgency_class = -1\n", "classes are numbered from 0"),
         (GOOD + 'channel = "B"\n', "channel is B, but cluster 'audi' has A"),
         (GOOD + "period_us = nan\n", "period_us is nan"),
         (GOOD + "offset_us = 5.0\n", "offset_us is 5.0; it needs a period_us"),

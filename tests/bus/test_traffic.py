@@ -1,5 +1,7 @@
 """Random traffic: never later than the bounds, alike for alike seeds, and channels on their own."""
 
+from math import inf
+
 import msgspec
 import numpy as np
 import pytest
@@ -66,3 +68,52 @@ def test_requests_with_an_offset_come_at_their_times():
     slot = MessageSlot(frame_id=1, payload_bytes=20, period_us=2060.0, offset_us=20.0)
     (seen,) = worst([slot], 100, 1)
     assert seen == pytest.approx(1030 - 20 + 3 + 263.2)
+
+
+@st.composite
+def urgent_tables(draw: st.DrawFn) -> list[MessageSlot]:
+    """Nodes with one ID in each of some classes, and stations with one ID between them."""
+    nodes, classes = draw(st.integers(1, 4)), draw(st.integers(2, 3))
+    size = st.integers(0, 50).map(lambda words: 2 * words)
+    lengths = [draw(size) for _ in range(nodes)]
+    rows = [(node, level) for level in range(classes) for node in range(nodes)]
+    ids = sorted(draw(st.sets(st.integers(3, 24), min_size=len(rows), max_size=len(rows))))
+    slots = [
+        MessageSlot(frame_id=frame_id, node=node, urgency_class=level, payload_bytes=lengths[node])
+        for frame_id, (node, level) in zip(ids, rows, strict=True)
+    ]
+    for frame_id in draw(st.sets(st.integers(3, 24), max_size=2)) - {*ids}:
+        period_us = draw(st.floats(1500, 9000))
+        slots.append(
+            MessageSlot(
+                frame_id=frame_id, node=50 + frame_id, payload_bytes=draw(size), period_us=period_us
+            )
+        )
+    return sorted(slots, key=lambda slot: slot.frame_id)
+
+
+@settings(max_examples=60)
+@given(urgent_tables(), st.integers(0, 2**32 - 1))
+def test_a_node_sends_one_class_a_cycle_and_within_its_bound(slots, seed: int):
+    for bound, seen in zip(bounds(SHORT, slots), worst(slots, 800, seed), strict=True):
+        assert seen is None or seen <= bound + 1e-6
+
+
+def test_classes_of_one_node_are_rivals_once():
+    """Three nodes with four classes: each frame waits for two others at most, not for eleven."""
+    slots = [
+        MessageSlot(frame_id=3 + 3 * level + node, node=node, urgency_class=level, payload_bytes=20)
+        for level in range(4)
+        for node in range(3)
+    ]
+    alone = [msgspec.structs.replace(slot, node=place) for place, slot in enumerate(slots)]
+    assert max(bounds(SHORT, alone)) == inf
+    found, seen = bounds(SHORT, slots), worst(slots, 30_000, 3)
+    length_us = SHORT.dynamic_slot_minislots(20) * SHORT.minislot_us
+    empty_us = 9 * SHORT.minislot_us
+    frame_us = SHORT.minislot_action_point_us + SHORT.frame_us(20)
+    # The last ID: two nodes before it, nine empty slots, and its own first class was just missed.
+    expected = SHORT.cycle_us + 2 * length_us + empty_us + frame_us - 2 * SHORT.minislot_us
+    assert found[-1] == pytest.approx(expected)
+    for bound, one in zip(found, seen, strict=True):
+        assert one is not None and one <= bound < 1.3 * one

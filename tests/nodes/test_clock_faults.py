@@ -1,10 +1,15 @@
 """The fault word `drift`: corrected clocks, halted nodes, and a bus that keeps no clocks."""
 
+from pathlib import Path
+
+import msgspec
 import numpy as np
 import pytest
 
 from concord.bus.clocks import ClockDrift
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.bus.flexray.presets import DEMO
 from concord.scenarios import equipment
 from concord.scenarios.build import build_bus
 from tests.nodes.changing import run, same_bits
@@ -61,7 +66,7 @@ def test_a_clock_beyond_its_rate_correction_halts_its_node(node: int, ppm: int):
     bus = build_bus(setup)
     assert isinstance(bus, FlexRayBus)
     drifts = (ClockDrift(node, ppm, FIRST),)
-    sends = [bus.clock_errors(4, drifts, cycle).sends[node] for cycle in range(30)]
+    sends = [bus.clock_errors(4, drifts, (), cycle).sends[node] for cycle in range(30)]
     silent = drifting.counters[node]["silent"]
     halted = 30 - silent
     assert FIRST < halted < 20
@@ -89,3 +94,64 @@ def test_clocks_that_drift_together_understand_each_other():
     together = run(setup, *(f"0 drift {node} 1500" for node in range(4)))
     assert same_bits(together, run(setup))
     assert "rejected slot-boundary" not in total(together)
+
+
+@pytest.fixture
+def two_sync_nodes(tmp_path: Path) -> str:
+    """A cluster in which nodes 0 and 1 of a network send the sync frames."""
+    cluster = msgspec.structs.replace(DEMO, sync_slots=(1, 2), startup_slots=(1, 2))
+    path = tmp_path / "two.toml"
+    path.write_text(cluster_to_toml(cluster))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("kill 0", "kill 1"), ("hang 0 100", "hang 1 100"), ("missing 0 1", "missing 1 1"),
+        ("crc 0 1", "kill 1"),
+    ],
+)  # fmt: skip
+def test_a_cluster_without_its_sync_nodes_stops(two_sync_nodes: str, words: tuple[str, ...]):
+    setup = ring(nodes=6, graph="complete", cluster=two_sync_nodes, steps=8)
+    struck = run(setup, *from_first(*words))
+    # Between two steps many more cycles pass than a controller bears without corrections.
+    speaks = struck.published[:, :, 2:].any(axis=(1, 2))
+    assert speaks.tolist() == [step <= FIRST for step in range(8)]
+    silent = [one.get("silent", 0) for one in struck.counters[2:]]
+    assert silent == [(8 - FIRST - 1) * ROUNDS] * 4
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("kill 0",), ("missing 0 1",), ("missing 0 0.9", "missing 1 0.9"), ("null 0 1", "null 1 1"),
+    ],
+)  # fmt: skip
+def test_sync_frames_that_are_left_keep_the_other_nodes(
+    two_sync_nodes: str, words: tuple[str, ...]
+):
+    """Node 0 alone leaves node 1 without a sync frame of another node; a null frame is one."""
+    setup = ring(nodes=6, graph="complete", cluster=two_sync_nodes, steps=5)
+    struck = run(setup, *from_first(*words))
+    stops = words in (("kill 0",), ("missing 0 1",))
+    silent = [one.get("silent", 0) for one in struck.counters[2:]]
+    assert any(silent) == stops
+
+
+def test_a_sync_node_that_returns_brings_the_network_back(two_sync_nodes: str):
+    setup = ring(nodes=6, graph="complete", cluster=two_sync_nodes, steps=10)
+    ends = ("3 kill 0", "3 kill 1", "6 restart 0", "6 restart 1")
+    struck = run(setup, *ends)
+    speaks = struck.published[:, :, 2:].any(axis=(1, 2)).tolist()
+    assert speaks == [step <= 3 or step >= 6 for step in range(10)]
+
+
+def test_turns_of_nodes_have_no_key_slots():
+    """Other controllers then send the sync frames, and no fault of a node takes them."""
+    setup = ring(nodes=6, schedule="round-robin", occupancy=0.5)
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    assert bus.sync_nodes == ()
+    struck = run(setup, *from_first(*(f"missing {node} 1" for node in range(5))))
+    assert "silent" not in struck.counters[5]

@@ -75,7 +75,7 @@ def measure(
     slot, and the node does not use it. A sync node counts its own frame with 0.
 
     Args:
-        delays: (N, S). sent: (S,), whether the frame was sent.
+        delays: (N, S). sent: (S,) or (N, S), whether the frame was sent and not lost.
     """
     ahead = arrivals(settings, timing, delays) - timing.start[:, None]
     expected = settings.action_points * (settings.microticks + timing.rate)[:, None]

@@ -50,15 +50,19 @@ def synchronised(settings: ClockSettings, period: Numbers, cycle: int = 0) -> Cl
 
 
 def run_cycle(
-    settings: ClockSettings, network: ClusterClocks, delays: Numbers
+    settings: ClockSettings,
+    network: ClusterClocks,
+    delays: Numbers,
+    received: Mask | bool = True,
 ) -> tuple[ClusterClocks, Passed]:
     """Return the network after one cycle, with the offset corrected in the idle time of an odd one.
 
     Args:
         delays: (N, S), from the sender of each sync frame to each node, in units of `TICK`.
+        received: (N, S), false where a fault keeps the frame from the node.
     """
     timing, state = network.timing, network.controllers.state
-    measured = measure(settings, timing, delays, sent_frames(settings, state))
+    measured = measure(settings, timing, delays, sent_frames(settings, state) & received)
     none = np.zeros_like(timing.rate)
     if network.even is None:
         after = next_cycle(settings, timing, timing.rate, none)

@@ -81,17 +81,17 @@ class ClockSettings(NamedTuple):
         return np.array([one.starts for one in self.sync])
 
 
-def clock_settings(cluster: Cluster, nodes: int) -> ClockSettings:
+def clock_settings(cluster: Cluster, nodes: int, known: Sequence[SyncNode] = ()) -> ClockSettings:
     """Return the settings of a cluster of so many nodes, with defaults for what it leaves open.
 
-    The first nodes are the sync nodes, in the order of their key slots.
+    Without `known` sync nodes the first nodes are these, in the order of their key slots.
 
     Raises:
         ValueError: the cluster has fewer than two nodes, or more key slots than nodes.
     """
     stated = cluster.offset_correction_start_macroticks
     start = cluster.macroticks_per_cycle - cluster.network_idle_time_macroticks + 1
-    sync = sync_nodes(cluster, nodes)
+    sync = tuple(known) or sync_nodes(cluster, nodes)
     per_cycle = cluster.microticks_per_cycle
     most = math.ceil(per_cycle * 2 * CLOCK_DEVIATION / (1 - CLOCK_DEVIATION))
     drift = _or(cluster.drift_microticks, most)

@@ -42,7 +42,7 @@ def slots_to_toml(slots: Sequence[MessageSlot]) -> str:
     for slot in slots:
         parts.append("[[slots]]")
         for field, value in msgspec.structs.asdict(slot).items():
-            if value is not None:
+            if value is not None and (field, value) != ("urgency_class", 0):
                 parts.append(f'{field} = "{value}"' if field == "channel" else f"{field} = {value}")
         parts.append("")
     return "\n".join(parts)
@@ -137,6 +137,8 @@ def _problem(slot: MessageSlot, cluster: Cluster) -> str:
         return f"base_cycle is {slot.base_cycle}, but must be 0 to {slot.repetition - 1}"
     if slot.node < 0:
         return f"node is {slot.node}, but nodes are numbered from 0"
+    if slot.urgency_class < 0:
+        return f"urgency_class is {slot.urgency_class}, but classes are numbered from 0"
     if not set(slot.channel) <= set(cluster.channels):
         return f"channel is {slot.channel}, but cluster {cluster.name!r} has {cluster.channels}"
     for field in ("period_us", "deadline_us"):
