@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 
 ELLIPSOIDS = ["tight", "fast-rate", "paper", "fast"]
 SETS: list[dict[str, Any]] = [{"method": one} for one in ELLIPSOIDS] + [{"filter": "zonotope"}]
-GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf")]
+GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf", "ekf")]
 
 
 def star(**changes: Any) -> Setup:
