@@ -32,13 +32,15 @@ from concord.scenarios.types.filters import (
     EllipsoidReceiver,
     FilterBase,
     NoiseLearningFilter,
+    PrintedFilter,
     RecommendedFilter,
+    RepairedFilter,
     SetFilter,
     UserFilter,
     ZonotopeReceiver,
 )
 from concord.scenarios.types.rules import Reception
-from concord.scenarios.user.values import value_of
+from concord.scenarios.user.values import ValueSource, value_of
 
 
 class ReceiverParts(NamedTuple):
@@ -74,6 +76,10 @@ _CYCLEWISE: dict[str, tuple[Callable[..., Any], bool]] = {
 }
 
 
+# Filters as printed live with their paper; no folder but the papers' own imports them.
+_AS_PRINTED = "concord.papers.meng2025.filter_as_printed"
+
+
 def _gaussian(choice: FilterBase, parts: ReceiverParts) -> Receiver:
     filter = on_fresh_rows(build_filter(choice, len(parts.prior.mean), parts.points))
     return GaussianReceiver(parts.system, filter, parts.points, parts.prior)
@@ -81,6 +87,11 @@ def _gaussian(choice: FilterBase, parts: ReceiverParts) -> Receiver:
 
 def _recommended(choice: FilterBase, parts: ReceiverParts) -> Receiver:
     return GaussianReceiver(parts.system, RECOMMENDED, parts.points, parts.prior)
+
+
+def _printed(name: str, choice: FilterBase, parts: ReceiverParts) -> Receiver:
+    filter = value_of(ValueSource(f"{_AS_PRINTED}:{name}"))
+    return GaussianReceiver(parts.system, filter, parts.points, parts.prior)
 
 
 def _of_user(choice: UserFilter, parts: ReceiverParts) -> Receiver:
@@ -115,6 +126,8 @@ def _zonotope(choice: ZonotopeReceiver, parts: ReceiverParts) -> Receiver:
 
 _RECEIVERS: dict[type[FilterBase], Callable[[Any, ReceiverParts], Receiver]] = {
     RecommendedFilter: _recommended,
+    PrintedFilter: partial(_printed, "PAPER_LITERAL"),
+    RepairedFilter: partial(_printed, "PAPER_LITERAL_R"),
     EllipsoidReceiver: _ellipsoid,
     ZonotopeReceiver: _zonotope,
     UserFilter: _of_user,

@@ -103,11 +103,23 @@ class AdaptiveDualLayer(SageHusaBase, frozen=True, kw_only=True, tag="adlukf"):
     """Adaptive dual-layer unscented Kalman filter, each reading counted once; learns R."""
 
 
-class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"):
+class ReceiverBase(FilterBase, frozen=True, kw_only=True):
+    """A filter that only the receiver of a measurement bus can use."""
+
+
+class RecommendedFilter(ReceiverBase, frozen=True, kw_only=True, tag="recommended"):
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
 
-class SetFilter(FilterBase, frozen=True, kw_only=True):
+class PrintedFilter(ReceiverBase, frozen=True, kw_only=True, tag="paper-literal"):
+    """The filter of Meng et al. (2025) as printed, with a pseudo-inverse; worse than no reading."""
+
+
+class RepairedFilter(ReceiverBase, frozen=True, kw_only=True, tag="paper-literal-R"):
+    """The filter of Meng et al. (2025) as printed, with measurement noise on every row."""
+
+
+class SetFilter(ReceiverBase, frozen=True, kw_only=True):
     """Sets that hold the truth for certain, at the receiver of a measurement bus."""
 
     losers: Annotated[
@@ -168,6 +180,8 @@ FilterChoice = (
     | FuzzyUnscented
     | AdaptiveDualLayer
     | RecommendedFilter
+    | PrintedFilter
+    | RepairedFilter
     | EllipsoidReceiver
     | ZonotopeReceiver
     | UserFilter
@@ -175,5 +189,5 @@ FilterChoice = (
 FILTER_SUMMARIES = {
     name_of(one): one.summary()
     for one in get_args(FilterChoice)
-    if one not in (RecommendedFilter, EllipsoidReceiver, ZonotopeReceiver, UserFilter)
+    if not issubclass(one, ReceiverBase | UserFilter)
 }
