@@ -148,6 +148,14 @@ class ZonotopeReceiver(SetFilter, frozen=True, kw_only=True, tag="zonotope"):
     ] = 30
 
 
+class ConstrainedReceiver(ZonotopeReceiver, frozen=True, kw_only=True, tag="constrained-zonotope"):
+    """Zonotopes that readings cut exactly (Scott et al. 2016); needs bounded noise and scipy."""
+
+    constraints: Annotated[
+        int, Option("Readings that cut a zonotope exactly: the newest.", at_least=0, at_most=100)
+    ] = 10
+
+
 class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
     """A filter of your own, from a Python file: an object with `predict` and `update`."""
 
@@ -184,6 +192,7 @@ FilterChoice = (
     | RepairedFilter
     | EllipsoidReceiver
     | ZonotopeReceiver
+    | ConstrainedReceiver
     | UserFilter
 )
 FILTER_SUMMARIES = {
