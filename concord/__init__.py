@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from concord.scenarios.types import buses as buses
     from concord.scenarios.types import holds as holds
     from concord.scenarios.types import rules as rules
+    from concord.scenarios.types.filters import ConstrainedReceiver as ConstrainedReceiver
     from concord.scenarios.types.filters import EllipsoidReceiver as EllipsoidReceiver
     from concord.scenarios.types.filters import ZonotopeReceiver as ZonotopeReceiver
 
@@ -51,7 +52,9 @@ _HOMES = {
     **dict.fromkeys(("scenario", "simulate", "sweep"), _API),
     **dict.fromkeys(("OwnPlant", "OwnSensor", "from_control"), _OWN),
     **dict.fromkeys(("BoundedPlant", "BoundedOutput"), "concord.plants.bounded_plant"),
-    **dict.fromkeys(("EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"),
+    **dict.fromkeys(
+        ("ConstrainedReceiver", "EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"
+    ),
     "on_a_measurement_bus": "concord.scenarios.definitions.own_measured",
     "own_scenario": "concord.scenarios.definitions.own",
     "Scenario": "concord.scenarios.scenario",

@@ -4,8 +4,10 @@ Jacobians are central differences over `step` standard deviations of the belief,
 not matter. The relative error of an entry has two parts. Curvature contributes step^2 / 6 times
 the third derivative at the scale of one standard deviation. Rounding contributes 1e-16 / step times
 the ratio of the value to its change over one standard deviation. For affine models the first part
-is zero, and a step of 1 gives the Kalman filter to rounding. A complex step would be exact for
-analytic models, but arctan2, abs and hypot of sensors do not take complex numbers.
+is zero, and a step of 1 gives the Kalman filter to rounding. So a second difference is taken over
+one standard deviation, and stands wherever it equals the first one to that one's rounding. A
+complex step would be exact for analytic models, but arctan2, abs and hypot of sensors do not take
+complex numbers.
 
 Source: Bar-Shalom, Li and Kirubarajan (2001), Estimation with applications to tracking and
 navigation, section 10.3. No covariance is factored but that of the innovation, so the covariance of
@@ -19,9 +21,13 @@ import numpy as np
 from concord.filters.conditioning import condition
 from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import symmetrise
+from concord.filters.linalg import multiply, symmetrise
 from concord.filters.moments import Model, Residual, check_noise, evaluate
 from concord.filters.update import Update
+
+_WIDE_STEP = 1.0
+# Roundings of a value and of its summands by which a difference may be wrong.
+_ROUNDINGS = 8 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -79,12 +85,23 @@ class ExtendedFilter:
         n = belief.mean.shape[-1]
         variance = np.diagonal(belief.cov, axis1=-2, axis2=-1)
         # Without an uncertainty the slope has no effect, and any step will do.
-        scale = self.step * np.where(variance == 0, 1.0, np.sqrt(np.abs(variance)))
-        offset = np.eye(n).reshape(n, *(1,) * (scale.ndim - 1), n) * scale
+        deviation = np.where(variance == 0, 1.0, np.sqrt(np.abs(variance)))
+        wide = np.where(variance == 0, self.step, _WIDE_STEP)
+        steps = [self.step] if self.step >= _WIDE_STEP else [self.step, wide]
+        axes = np.eye(n).reshape(n, *(1,) * (deviation.ndim - 1), n) * deviation
+        offset = np.concatenate([step * axes for step in steps])
         ahead, behind = belief.mean + offset, belief.mean - offset
         points = np.concatenate([belief.mean + 0 * offset[:1], ahead, behind])
         values = evaluate(model, points, size, name)
         # The distance of the points as they were rounded.
-        apart = np.diagonal(ahead - behind, axis1=0, axis2=-1)
-        rise = np.moveaxis(residual(values[1 : n + 1], values[n + 1 :]), 0, -1)
-        return values[0], rise / apart[..., None, :]
+        apart = (ahead - behind).reshape(len(steps), n, *offset.shape[1:])
+        apart = np.diagonal(apart, axis1=1, axis2=-1)
+        rise = residual(values[1 : len(offset) + 1], values[len(offset) + 1 :])
+        rise = np.moveaxis(rise.reshape(len(steps), n, *values.shape[1:]), 1, -1)
+        slopes = rise / apart[..., None, :]
+        if len(steps) == 1:
+            return values[0], slopes[0]
+        narrow, secant = slopes
+        summands = np.abs(values[0]) + multiply(np.abs(secant), np.abs(belief.mean))
+        rounding = _ROUNDINGS * summands[..., None] / np.abs(apart[0])[..., None, :]
+        return values[0], np.where(np.abs(secant - narrow) <= rounding, secant, narrow)

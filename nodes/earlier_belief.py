@@ -1,12 +1,14 @@
 """A belief of an earlier step, from which a node begins anew."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.local_filter import Model, at, predict_to_step
+from concord.nodes.rules.set_membership import BoundedModel
+from concord.nodes.rules.set_shapes import Ellipsoids
 
 
 class EarlierBelief(NamedTuple):
@@ -26,3 +28,17 @@ class EarlierBelief(NamedTuple):
             moved, sound = predict_to_step(beliefs, self.control, number, model, filter)
             beliefs = moved if sound[0] else beliefs
         return at(beliefs, 0)
+
+    def set_at_step(self, step: int, model: Model) -> Gaussian:
+        """Carry the belief, which is a set, to a step under all noise within its bound.
+
+        It holds the truth where one control drove all steps between, or none.
+        """
+        if self.step == step:
+            return self.belief
+        bounded, shape = cast(BoundedModel, model), Ellipsoids(len(self.belief.mean))
+        kept = shape.containing(self.belief)
+        for number in range(self.step, step):
+            moved = bounded.transition(kept.centre, self.control, number)
+            kept = shape.moved(kept, moved, *bounded.motion(number))
+        return shape.bounds(kept)

@@ -25,7 +25,7 @@ from concord.scenarios.filters import build_filter
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
-from concord.scenarios.rules import build_estimator, hold_policy, wire_number
+from concord.scenarios.rules import build_estimator, hold_policy, is_set_valued, wire_number
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
@@ -82,9 +82,17 @@ def _rebuilt(
         complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
     # The sensors of a measurement bus believe nothing that a node could begin with.
+    keeps_sets = is_set_valued(changed.scenario)
+    if earlier is None and keeps_sets and step > 0:
+        # Everything that the prior says is of step 0.
+        prior = Gaussian(np.array(changed.prior_mean), np.array(changed.prior_cov))
+        earlier = EarlierBelief(prior, 0)
     if earlier is not None and definition_of(changed.scenario).wiring is None:
         model = definition_of(changed.scenario).model(changed.scenario)
-        belief = earlier.at_step(step - 1, model, filter_of(changed))
+        if keeps_sets:
+            belief = earlier.set_at_step(step - 1, model)
+        else:
+            belief = earlier.at_step(step - 1, model, filter_of(changed))
         changed = msgspec.structs.replace(
             changed, prior_mean=belief.mean.tolist(), prior_cov=belief.cov.tolist()
         )

@@ -9,7 +9,7 @@ sent value of no contender until it hears that contender again.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from concord.filters.sets.evidence import (
 )
 from concord.filters.sets.lifted_cycle import LinearBoundedSystem
 from concord.filters.stochastic_ukf import Received
-from concord.nodes.rules.set_shapes import Shape
 
 
 @dataclass(frozen=True)
@@ -139,6 +138,22 @@ class StepSets(NamedTuple):
 SetStep = Callable[[Any, StepReadings], Any]
 
 
+class KeptShape(Protocol):
+    """The shape of a receiver's sets: those of `concord.nodes.rules.set_shapes`, and others."""
+
+    def containing(self, prior: Gaussian) -> Any:
+        """Sets around the ellipsoids with these means and shape matrices."""
+        ...
+
+    def bounds(self, own: Any) -> Gaussian:
+        """Centre and shape matrix of an ellipsoid around a set."""
+        ...
+
+    def generators_of(self, own: Any) -> np.ndarray | None:
+        """The generators (n, q) of one zonotope; None of another shape."""
+        ...
+
+
 @dataclass(frozen=True)
 class StepwiseReceiver:
     """A set that is cut in every step (`concord.nodes.rules.measurement_bus.Receiver`).
@@ -148,7 +163,7 @@ class StepwiseReceiver:
     """
 
     measured: MeasuredSets
-    shape: Shape[Any]
+    shape: KeptShape
     step: SetStep
 
     @property

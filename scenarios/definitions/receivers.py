@@ -10,12 +10,14 @@ from concord.bus.measurement_bus import LosingBids, WeightsAt
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.filters.sets.closed_form import closed_form_step
+from concord.filters.sets.constrained_zonotope import constrained_step
 from concord.filters.sets.lifted_cycle import LinearBoundedSystem
 from concord.filters.sets.recursive_estimator import optimal_step
 from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.filters.sigma_points import SigmaPointRule
 from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter
+from concord.nodes.receivers.constrained_sets import ConstrainedZonotopes
 from concord.nodes.receivers.cyclewise_receiver import (
     CyclewiseReceiver,
     augmented_cycle,
@@ -29,16 +31,19 @@ from concord.scenarios.filters import build_filter
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.types.buses import SensorSlots
 from concord.scenarios.types.filters import (
+    ConstrainedReceiver,
     EllipsoidReceiver,
     FilterBase,
     NoiseLearningFilter,
+    PrintedFilter,
     RecommendedFilter,
+    RepairedFilter,
     SetFilter,
     UserFilter,
     ZonotopeReceiver,
 )
 from concord.scenarios.types.rules import Reception
-from concord.scenarios.user.values import value_of
+from concord.scenarios.user.values import ValueSource, value_of
 
 
 class ReceiverParts(NamedTuple):
@@ -74,6 +79,10 @@ _CYCLEWISE: dict[str, tuple[Callable[..., Any], bool]] = {
 }
 
 
+# Filters as printed live with their paper; no folder but the papers' own imports them.
+_AS_PRINTED = "concord.papers.meng2025.filter_as_printed"
+
+
 def _gaussian(choice: FilterBase, parts: ReceiverParts) -> Receiver:
     filter = on_fresh_rows(build_filter(choice, len(parts.prior.mean), parts.points))
     return GaussianReceiver(parts.system, filter, parts.points, parts.prior)
@@ -81,6 +90,11 @@ def _gaussian(choice: FilterBase, parts: ReceiverParts) -> Receiver:
 
 def _recommended(choice: FilterBase, parts: ReceiverParts) -> Receiver:
     return GaussianReceiver(parts.system, RECOMMENDED, parts.points, parts.prior)
+
+
+def _printed(name: str, choice: FilterBase, parts: ReceiverParts) -> Receiver:
+    filter = value_of(ValueSource(f"{_AS_PRINTED}:{name}"))
+    return GaussianReceiver(parts.system, filter, parts.points, parts.prior)
 
 
 def _of_user(choice: UserFilter, parts: ReceiverParts) -> Receiver:
@@ -113,10 +127,19 @@ def _zonotope(choice: ZonotopeReceiver, parts: ReceiverParts) -> Receiver:
     return StepwiseReceiver(_measured(choice, parts), shape, step)
 
 
+def _constrained(choice: ConstrainedReceiver, parts: ReceiverParts) -> Receiver:
+    shape = ConstrainedZonotopes(len(parts.prior.mean))
+    step = partial(constrained_step, generators=choice.generators, constraints=choice.constraints)
+    return StepwiseReceiver(_measured(choice, parts), shape, step)
+
+
 _RECEIVERS: dict[type[FilterBase], Callable[[Any, ReceiverParts], Receiver]] = {
     RecommendedFilter: _recommended,
+    PrintedFilter: partial(_printed, "PAPER_LITERAL"),
+    RepairedFilter: partial(_printed, "PAPER_LITERAL_R"),
     EllipsoidReceiver: _ellipsoid,
     ZonotopeReceiver: _zonotope,
+    ConstrainedReceiver: _constrained,
     UserFilter: _of_user,
 }
 

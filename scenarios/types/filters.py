@@ -103,11 +103,23 @@ class AdaptiveDualLayer(SageHusaBase, frozen=True, kw_only=True, tag="adlukf"):
     """Adaptive dual-layer unscented Kalman filter, each reading counted once; learns R."""
 
 
-class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"):
+class ReceiverBase(FilterBase, frozen=True, kw_only=True):
+    """A filter that only the receiver of a measurement bus can use."""
+
+
+class RecommendedFilter(ReceiverBase, frozen=True, kw_only=True, tag="recommended"):
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
 
-class SetFilter(FilterBase, frozen=True, kw_only=True):
+class PrintedFilter(ReceiverBase, frozen=True, kw_only=True, tag="paper-literal"):
+    """The filter of Meng et al. (2025) as printed, with a pseudo-inverse; worse than no reading."""
+
+
+class RepairedFilter(ReceiverBase, frozen=True, kw_only=True, tag="paper-literal-R"):
+    """The filter of Meng et al. (2025) as printed, with measurement noise on every row."""
+
+
+class SetFilter(ReceiverBase, frozen=True, kw_only=True):
     """Sets that hold the truth for certain, at the receiver of a measurement bus."""
 
     losers: Annotated[
@@ -134,6 +146,14 @@ class ZonotopeReceiver(SetFilter, frozen=True, kw_only=True, tag="zonotope"):
     generators: Annotated[
         int, Option("Generators that a zonotope keeps.", at_least=2, at_most=1000)
     ] = 30
+
+
+class ConstrainedReceiver(ZonotopeReceiver, frozen=True, kw_only=True, tag="constrained-zonotope"):
+    """Zonotopes that readings cut exactly (Scott et al. 2016); needs bounded noise and scipy."""
+
+    constraints: Annotated[
+        int, Option("Readings that cut a zonotope exactly: the newest.", at_least=0, at_most=100)
+    ] = 10
 
 
 class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
@@ -168,12 +188,15 @@ FilterChoice = (
     | FuzzyUnscented
     | AdaptiveDualLayer
     | RecommendedFilter
+    | PrintedFilter
+    | RepairedFilter
     | EllipsoidReceiver
     | ZonotopeReceiver
+    | ConstrainedReceiver
     | UserFilter
 )
 FILTER_SUMMARIES = {
     name_of(one): one.summary()
     for one in get_args(FilterChoice)
-    if one not in (RecommendedFilter, EllipsoidReceiver, ZonotopeReceiver, UserFilter)
+    if not issubclass(one, ReceiverBase | UserFilter)
 }

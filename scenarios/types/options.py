@@ -92,6 +92,7 @@ class ScenarioOptions(TypedDict, total=False):
     losers: bool
     method: METHOD
     generators: int
+    constraints: int
     steps: int
     seed: int
     run: int
@@ -162,6 +163,7 @@ class SweptOptions(TypedDict, total=False):
     losers: Sequence[bool] | np.ndarray | bool
     method: Sequence[METHOD] | np.ndarray | METHOD
     generators: Sequence[int] | np.ndarray | int
+    constraints: Sequence[int] | np.ndarray | int
     steps: Sequence[int] | np.ndarray | int
     seed: Sequence[int] | np.ndarray | int
     run: Sequence[int] | np.ndarray | int

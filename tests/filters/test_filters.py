@@ -124,6 +124,20 @@ def test_differences_are_the_derivatives_to_their_stated_error():
     assert (errors / np.abs(exact * deviation).max(axis=1, keepdims=True)).max() < 1e-8
 
 
+def test_differences_of_an_affine_model_are_exact_however_far_from_the_origin():
+    """Over a thousandth of a deviation the rounding of so large a state is 1e-6 of the slope."""
+    A = np.array([[1.1, 0.7, 0.0], [-0.3, 0.9, 1.0], [0.2, 0.0, 0.4]])
+    belief = Gaussian(np.array([3e4, -2e5, 1e3]), np.diag([1e-4, 4e-4, 0.0]))
+    found = ExtendedFilter().predict(belief, lambda x: x @ A.T + 5.0, np.zeros((3, 3)))
+    np.testing.assert_allclose(found.cov, A @ belief.cov @ A.T, rtol=2e-8)
+    bent = ExtendedFilter().linearise(belief, lambda x: x[..., :1] ** 2, 1, np.subtract)
+    np.testing.assert_allclose(bent.slope[0, 0], 2 * belief.mean[0], rtol=1e-6)
+    # The secant of a cubic over a deviation is not its tangent.
+    near = Gaussian(np.array([1.0]), np.array([[0.25]]))
+    cubed = ExtendedFilter().linearise(near, lambda x: x**3, 1, np.subtract)
+    np.testing.assert_allclose(cubed.slope, [[3.0]], rtol=1e-6)
+
+
 @pytest.mark.parametrize("step", [1e-3, 1.0])
 def test_the_extended_filter_takes_what_is_known_exactly(step: float):
     """P0 = 0 in one state and R = 0: the limit of small variances."""

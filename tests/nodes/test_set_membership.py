@@ -11,6 +11,8 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.bids import FIRST_BID
+from concord.nodes.changes import UNCHANGED
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.messages import Measured
 from concord.nodes.rules.lane_rule import Place
 from concord.nodes.rules.set_membership import SetAtNode, SetMembership
@@ -18,6 +20,7 @@ from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from concord.nodes.vector_codec import VectorCodec
 from concord.runtime import in_process
 from concord.runtime.in_process import Link
+from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
@@ -76,6 +79,32 @@ def test_every_sound_hold_policy_keeps_it_inside(rule: str, hold: str):
 def test_an_uncontrolled_plant_leaves_every_scale_but_no_set(rule: str):
     setup = network(rule=rule, control="open", steps=300, nodes=2, graph="path", rounds=1)
     assert (radii(setup) <= 1).all()
+
+
+@RULES
+@pytest.mark.parametrize("gap", [0, 1, 6])
+def test_a_node_that_begins_anew_from_an_older_set_holds_the_truth(rule: str, gap: int):
+    """No node has said anything since. A node without an earlier set carries the prior."""
+    for number in range(8):
+        setup = network(
+            rule=rule, control="open", noise="matched", nodes=2, graph="path", run=number
+        )
+        trace = run(setup)
+        config = build_node(setup, 1)
+        assert config.rebuild is not None
+        began = 8 - gap
+        belief = Gaussian(trace.mean[began - 1, 0], trace.cov[began - 1, 0])
+        prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
+        for earlier in (EarlierBelief(belief, began - 1), EarlierBelief(prior, 0), None):
+            kept = config.rebuild(UNCHANGED, 8, earlier).estimator
+            found = kept.belief(kept.start())
+            error = trace.truth[7] - found.mean
+            assert error @ np.linalg.solve(found.cov, error) <= 1
+            # Without readings too.
+            unread = Measured(1, 8, [[None] * trace.readings.shape[-1]])
+            found = kept.belief(kept.begin_step(kept.start(), unread)[0])
+            error = trace.truth[8] - found.mean
+            assert error @ np.linalg.solve(found.cov, error) <= 1
 
 
 def test_the_printed_noise_is_no_harder():

@@ -33,8 +33,9 @@ from tests.test_agreement import assert_agreement
 pytestmark = pytest.mark.slow
 
 ELLIPSOIDS = ["tight", "fast-rate", "paper", "fast"]
-SETS: list[dict[str, Any]] = [{"method": one} for one in ELLIPSOIDS] + [{"filter": "zonotope"}]
-GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf")]
+SETS: list[dict[str, Any]] = [{"method": one} for one in ELLIPSOIDS]
+SETS += [{"filter": "zonotope"}, {"filter": "constrained-zonotope"}]
+GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf", "ekf")]
 
 
 def star(**changes: Any) -> Setup:

@@ -8,6 +8,9 @@ import pytest
 from concord.experiments.results.summary import summarise
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import MeasurementFilter
+from concord.nodes.receivers.gaussian_receiver import GaussianReceiver
+from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from concord.papers.meng2025.runs import from_step_0
 from concord.plants import meng2025
 from concord.runtime.drivers import in_memory
@@ -71,7 +74,8 @@ def test_the_first_cycles():
         {"schedule": "round-robin"},
         {"schedule": "full", "run": 3},
         {"filter": "ekf", "bid_weights": "1 1 1 1 9 1; 1 1 1 1 1 9"},
-        {"filter": "concord.papers.meng2025.filter_as_printed:PAPER_LITERAL"},
+        {"filter": "paper-literal"},
+        {"filter": "paper-literal-R"},
     ],
     ids=str,
 )
@@ -82,6 +86,16 @@ def test_nodes_do_what_the_arrays_do(changes: dict):
     np.testing.assert_array_equal(trace.published[1:, 0, 1:], sent)
     np.testing.assert_allclose(trace.mean[:, 0], beliefs.mean, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(trace.cov[:, 0], beliefs.cov, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "filter"), [("paper-literal", PAPER_LITERAL), ("paper-literal-R", PAPER_LITERAL_R)]
+)
+def test_the_filters_as_printed_have_names(name: str, filter: MeasurementFilter):
+    prior = Gaussian(meng2025.PRIOR_MEAN, meng2025.PRIOR_COV)
+    receiver = receiver_of(plant_on_bus(), star(filter=name).scenario, prior, None)
+    assert isinstance(receiver, GaussianReceiver)
+    assert receiver.filter is filter
 
 
 def test_nobody_on_the_bus_is_prediction_alone():

@@ -19,6 +19,7 @@ from concord.scenarios.types.buses import FlexRay, SensorSlots
 from concord.scenarios.types.filters import EllipsoidReceiver
 from tests.experiments.support import scenario
 
+ZONOTOPES = ("zonotope", "constrained-zonotope")
 LINEAR = OwnPlant(f=lambda x: 0.9 * x, Q=[0.1, 0.2], mean=[1.0, -1.0], cov=[1.0, 2.0])
 FIRST = OwnSensor(h=lambda x: x[..., :1], R=0.1)
 BOTH = OwnSensor(h=lambda x: x, R=[0.2, 0.3])
@@ -69,9 +70,9 @@ def test_the_example_of_meng_is_one_of_these():
     assert np.abs(ours.mean[:, 0] - named.mean[:, 0]).max() < 0.3
 
 
-@pytest.mark.parametrize("receiver", ["tight", "fast-rate", "paper", "fast", "zonotope"])
+@pytest.mark.parametrize("receiver", ["tight", "fast-rate", "paper", "fast", *ZONOTOPES])
 def test_every_set_of_a_bounded_plant_holds_the_truth(receiver: str):
-    chosen: Any = "zonotope" if receiver == "zonotope" else EllipsoidReceiver(method=receiver)  # type: ignore[arg-type]
+    chosen: Any = receiver if receiver in ZONOTOPES else EllipsoidReceiver(method=receiver)  # type: ignore[arg-type]
     for seed in range(3):
         made = on_a_measurement_bus(BOUNDED, STRIPS, receiver=chosen, steps=30)
         trace = run(made.with_(seed=seed, loss=0.2))
