@@ -93,9 +93,10 @@ class ExtendedFilter:
         ahead, behind = belief.mean + offset, belief.mean - offset
         points = np.concatenate([belief.mean + 0 * offset[:1], ahead, behind])
         values = evaluate(model, points, size, name)
-        # The distance of the points as they were rounded.
+        # The distance of the points as they were rounded; NaN where they are one number.
         apart = (ahead - behind).reshape(len(steps), n, *offset.shape[1:])
         apart = np.diagonal(apart, axis1=1, axis2=-1)
+        apart = np.where(apart == 0, np.nan, apart)
         rise = residual(values[1 : len(offset) + 1], values[len(offset) + 1 :])
         rise = np.moveaxis(rise.reshape(len(steps), n, *values.shape[1:]), 1, -1)
         slopes = rise / apart[..., None, :]

@@ -54,8 +54,8 @@ from concord.scenarios.types.buses import (
     urgency_classes_of,
 )
 from concord.scenarios.types.rules import FloodingRule, latch_delay_of
+from concord.scenarios.user.arbiter import arbiter_named
 from concord.scenarios.user.bus import user_bus, user_frame_format
-from concord.scenarios.user.values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
 # Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a
@@ -292,27 +292,6 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
         if lossy_links(scenario) and count >= _LEAST_CLASSES_BY_NEED:
             old_after *= _TURNS_BEFORE_OLD
     return UrgencyClasses(count, least, most, old_after)
-
-
-def with_pinned_arbiter(scenario: Scenario) -> Scenario:
-    """The scenario with the digest of its arbiter's file beside its name, if it has such a file.
-
-    Raises:
-        ValueError: there is no such file.
-    """
-    name = arbiter_of(scenario.bus.schedule)
-    return scenario.with_(arbiter=pinned(name)) if is_source_name(name) else scenario
-
-
-def arbiter_named(name: str) -> Arbiter:
-    """The arbiter of a name, or of a user's file: an `Arbiter`, or its function of urgency."""
-    if not is_source_name(name):
-        if name not in ARBITERS:
-            raise unknown_name("arbiter", name, ARBITERS)
-        return ARBITERS[name]
-    must = "a function urgency(state, bids, frame_ids), or an Arbiter of concord.bus.arbitration"
-    value = function_or(Arbiter, source_of(name), must)
-    return value if isinstance(value, Arbiter) else Arbiter(value)
 
 
 def contenders_and_room(bus: Bus) -> tuple[int, int]:

@@ -11,9 +11,9 @@ from concord.bus.arbitration import NO_BID, Arbiter, ArbiterState, award, begin_
 from concord.experiments.conformance.promise import Promise, PromiseResult, raised
 from concord.experiments.conformance.rule_promises import check_agreement
 from concord.experiments.scenario_options import scenario_of
-from concord.scenarios.bus_plan import arbiter_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.user.arbiter import arbiter_named
 
 _RUNS, _MOST_CONTENDERS, _LARGEST_BID = 4, 8, 1000
 _ASKS = 0.7
