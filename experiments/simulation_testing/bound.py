@@ -56,10 +56,10 @@ def _bound(run: EstimateHistory) -> np.ndarray:
     """Covariance (steps, n, n) of the filter with every reading that there is."""
     scenario = run.setup.scenario
     definition = definition_of(scenario)
-    sensors = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
+    groups = definition.sensor_groups(scenario)
     # Of a linear plant it hangs on which readings come, and on no number in them.
     control = None if run.control is None else run.control[None]
     truths = Truths(run.truth[None], run.readings[None], control)
     return posterior_bound(
-        truths, np.array(run.setup.prior_cov), definition.model(scenario), sensors
+        truths, np.array(run.setup.prior_cov), definition.model(scenario), groups
     )

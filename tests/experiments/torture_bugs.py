@@ -160,7 +160,7 @@ BUGS = (
     ),
     Bug(
         "a guardian blocks nobody",
-        "concord.nodes.faults.links",
+        "concord.nodes.faults.collisions",
         "collides",
         (('if owned and faults.at("guardian", way.step):', "if False:"),),
     ),
