@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
@@ -37,6 +37,7 @@ RUNS = (0, 3)
 PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf")
 NOVELTIES = ("diffusion", "kcf")
+CLOCKS_LOST = "kills that leave clocks without sync frames (--changes)"
 RULES = ("ci", "wac", "local", "trimmed-ci", *FRESH)
 HOLDS = ("decayed", "predict", "raw", "drop", "renormalise", "in-step")
 WEIGHTS = ("metropolis", "maximum-degree", "equal-neighbour")  # the last leads to no average
@@ -145,6 +146,7 @@ def test_random_scenarios_agree(asked: Scenario):
 @given(changing(scenarios(), SET))
 @settings(max_examples=50)
 def test_random_scenarios_with_random_changes_agree(asked: Scenario):
+    assume(without_array_form(asked) != CLOCKS_LOST)
     check_agreement(asked)
 
 
@@ -152,7 +154,22 @@ def test_random_scenarios_with_random_changes_agree(asked: Scenario):
 @given(st.one_of(scenarios(), changing(scenarios(), SET)))
 @settings(max_examples=1000)
 def test_many_more_random_scenarios_agree(asked: Scenario):
+    assume(without_array_form(asked) != CLOCKS_LOST)
     check_agreement(asked)
+
+
+def test_kills_that_leave_one_sync_node_run_message_by_message():
+    """The clocks of a node that hears no sync frame fail, and then it sends nothing."""
+    pair = scenario("oscillator", nodes=2, steps=2, rule="local", changes=("0 kill 0",))
+    assert without_array_form(pair) == CLOCKS_LOST
+    assert without_array_form(pair.with_(bus="ideal")) is None
+    three = scenario(
+        "oscillator", nodes=4, steps=4, changes=("0 kill 0", "1 restart 0", "2 kill 1")
+    )
+    assert without_array_form(three) is None
+    assert (
+        without_array_form(three.with_(changes=("0 kill 0", "1 kill 1", "2 kill 2"))) == CLOCKS_LOST
+    )
 
 
 EVENTFUL = (

@@ -10,7 +10,7 @@ from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
-from concord.nodes.commands import Configure, Inject, Restart
+from concord.nodes.commands import Configure, Inject, Kill, Restart
 from concord.nodes.faults.losses import LinkState, hears_all
 from concord.nodes.lanes.links import Links, Shares, links_of, places
 from concord.nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
@@ -27,9 +27,10 @@ from concord.scenarios.build import (
     rule_context,
 )
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.equipment import build_faults
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import BatchContext, Beginning
-from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
+from concord.scenarios.preparation import complete_settings, prepare, share_bytes, with_settings
 from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
@@ -41,6 +42,8 @@ def without_array_form(scenario: Scenario) -> str | None:
     definition = definition_of(scenario)
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
+    if _loses_clocks(scenario):
+        return "kills that leave clocks without sync frames (--changes)"
     if definition.wiring is not None:
         is_back = any(isinstance(one.command, Restart) for one in script_of(scenario))
         return "restarts on a measurement bus (--changes)" if is_back else None
@@ -49,6 +52,18 @@ def without_array_form(scenario: Scenario) -> str | None:
         if (lacking := rule.lacking(held)) is not None:
             return lacking
     return None
+
+
+def _loses_clocks(scenario: Scenario) -> bool:
+    """Return whether a script ever takes so many sync frames that the clocks of others suffer."""
+    if not any(isinstance(one.command, Kill) for one in script_of(scenario)):
+        return False
+    setup = prepare(scenario)
+    for change in changes_of(setup):
+        changed = with_settings(setup, change.standing.settings)
+        if build_faults(changed, build_bus(changed)).stand(change.standing).outages:
+            return True
+    return False
 
 
 def _set_in(scenario: Scenario) -> Iterator[Scenario]:
