@@ -3,6 +3,7 @@
 import math
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -74,7 +75,7 @@ def clocks(
     power_on_cycles: float = 1.0,
     liars: int = 0,
     seed: int = 1,
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     json: bool = False,
 ) -> None:
     """Start a cluster from cold, and run it with clocks that deviate.

@@ -37,7 +37,7 @@ REHEARSED = "every contender asks in every cycle, the longest silent most urgent
 def plan(
     scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     *,
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     json: bool = False,
 ) -> None:
     """Plan the bus of a scenario: slot table, occupancy, load, delays, what would starve.

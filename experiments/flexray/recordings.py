@@ -123,7 +123,7 @@ def fit(
     bit_rate: BitRate = None,
     column: str | None = None,
     unit: Unit | None = None,
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     slots: Path | None = None,
     cycle_us: float | None = None,
     json: bool = False,

@@ -26,7 +26,7 @@ def design_slots_command(
     name: str | None = None,
     minimise: Goal = "slots",
     edition: Edition = "3.0.1",
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     json: bool = False,
 ) -> None:
     """Design a slot table in which every frame meets its deadline and every share keeps its age.

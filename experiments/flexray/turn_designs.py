@@ -66,7 +66,7 @@ def design_turns_command(
     *,
     shares: int,
     longest: int = 8,
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     json: bool = False,
 ) -> None:
     """Give each node turns in the static slots so that the error bound of the network is least.
@@ -79,9 +79,14 @@ def design_turns_command(
     """
     with user_errors():
         asked = resolved(scenario)
-        if not isinstance(asked.bus, FlexRay) or asked.bus.cluster.startswith("fitted"):
-            raise ValueError("turns need static slots of a known cluster; name one, --cluster audi")
-        cluster = read_cluster(asked.bus.cluster, None)
+        cluster_name = asked.bus.cluster if isinstance(asked.bus, FlexRay) else ""
+        if not cluster_name or cluster_name.startswith("fitted"):
+            wrong = f"--cluster {cluster_name}" if cluster_name else f"--bus {asked.bus.name}"
+            raise ValueError(
+                f"{wrong}: turns are static slots of a cluster that is known before "
+                "its table; name one with --cluster audi or a file"
+            )
+        cluster = read_cluster(cluster_name, None)
         setup = prepare_without_bus(asked)
         answer, slots = design_turns(setup, cluster, shares, longest)
         if out is not None:
