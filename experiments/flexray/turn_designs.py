@@ -173,8 +173,9 @@ def linear_network(setup: Setup) -> LinearSensing:
     for point in (state, state + 3 * scale):
         information = np.zeros((scenario.nodes, n, n))
         for node, readings in enumerate(delivered):
-            sensor = definition.sensor(scenario, node)
-            for reading in readings if sensor is not None else ():
+            if (sensor := definition.sensor(scenario, node)) is None:
+                continue
+            for reading in readings:
                 information[node] += told(sensor, reading, point, scale, np.eye(n), 0)
         found.append((jacobian(move, point, scale, np.subtract), information))
     for here, there in zip(*found, strict=True):

@@ -125,7 +125,8 @@ def test_an_offset_beside_another_cause_is_named_too():
 
 
 def test_too_few_readings_are_no_verdict():
-    few = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.UNKNOWN), *[UNKNOWN] * 3)
+    nothing = Diagnosis(Cause.UNKNOWN)
+    few = innovation_verdict(scenario("oscillator"), nothing, UNKNOWN, UNKNOWN, UNKNOWN)
     assert "too few readings to judge" in few
 
 
