@@ -86,7 +86,7 @@ def test_the_bound_is_the_error_of_labelled_readings(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((*OSCILLATOR, "--shares", 1), "name one, --cluster audi"),
+        ((*OSCILLATOR, "--shares", 1), "--cluster fitted: turns are static slots"),
         ((*OSCILLATOR, "--shares", 99, "--cluster", "audi"), "use at most --shares"),
         ((*OSCILLATOR, "--shares", 1, "--longest", 3, "--cluster", "audi"), "use 1, 2, 4"),
         (
