@@ -19,7 +19,7 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.scenario import Scenario
 from tests.changing_networks import changing
-from tests.test_batched_agreement import check_agreement
+from tests.test_batched_agreement import check_agreement, check_changing
 
 pytestmark = pytest.mark.slow
 
@@ -89,7 +89,7 @@ def test_random_networks_agree(asked: Scenario):
 @given(changing(scenarios(), set_to=SET_TO, verbs=FINAL))
 @settings(max_examples=15)
 def test_random_networks_that_change_agree(asked: Scenario):
-    check_agreement(asked)
+    check_changing(asked)
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_many_more_random_networks_agree(asked: Scenario):
 @given(changing(scenarios(), set_to=SET_TO, verbs=FINAL))
 @settings(max_examples=300)
 def test_many_more_random_networks_that_change_agree(asked: Scenario):
-    check_agreement(asked)
+    check_changing(asked)
 
 
 @pytest.mark.parametrize("relay", [False, True])
