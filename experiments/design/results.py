@@ -15,6 +15,7 @@ from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.specification import FIELDS, Value, shown
 from concord.runtime.disk import writing
+from concord.runtime.json_file import read_json
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
@@ -144,12 +145,12 @@ def read_design(path: Path) -> Design:
     Raises:
         ValueError: there is none, or it is not one of ours.
     """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Design)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror})") from None
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{path}: not the result of `concord design` ({error})") from None
+    return read_json(
+        path,
+        Design,
+        "name a file that concord design has written",
+        "not the result of `concord design`",
+    )
 
 
 def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:
