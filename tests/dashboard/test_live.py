@@ -20,7 +20,7 @@ from tests.processes import CONCORD, PROC, family, holds_within
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
 NETWORK = ["--scenario", "oscillator", "--nodes", "3", "--steps", "1000000"]
-_ESTABLISHED = "01"
+_CONNECTED = "03"
 
 
 @pytest.fixture(scope="module")
@@ -177,12 +177,12 @@ def test_a_page_for_spectators_shows_the_network_and_sends_no_command(
 def test_to_who_has_left_nothing_is_sent_and_nobody_misses_him(
     network: Path, onlooker: Client, page: LiveNetwork
 ):
-    port = int(read_network(network).connect[0].rpartition(":")[2])
-    assert holds_within(20.0, lambda: len(_connected(port)) == 2)
+    socket = read_network(network).connect[0].removeprefix("unixsock-stream/")
+    assert holds_within(20.0, lambda: len(_connected(socket)) == 2)
     seen = _until(page, lambda frames: len(frames) > 3)
     page.close()
     # Only the onlooker is still connected, and it receives no frames.
-    assert holds_within(20.0, lambda: len(_connected(port)) == 1)
+    assert holds_within(20.0, lambda: len(_connected(socket)) == 1)
     completed = onlooker.state()["completed"]
     assert holds_within(20.0, lambda: onlooker.state()["completed"] > completed + 50)
     assert onlooker.state()["members"] == [0, 1, 2]
@@ -195,8 +195,7 @@ def test_to_who_has_left_nothing_is_sent_and_nobody_misses_him(
     assert (frames[-1].traffic.missed == seen[-1].traffic.missed).all()
 
 
-def _connected(port: int) -> list[str]:
-    """Connections that others have to a port of this machine."""
-    rows = [row.split() for row in (PROC / "net" / "tcp").read_text().splitlines()[1:]]
-    here = f"0100007F:{port:04X}"
-    return [row[2] for row in rows if row[1] == here and row[3] == _ESTABLISHED]
+def _connected(socket: str) -> list[str]:
+    """Connections that others have to a unix socket of this machine."""
+    rows = [row.split() for row in (PROC / "net" / "unix").read_text().splitlines()[1:]]
+    return [row[6] for row in rows if row[-1] == socket and row[5] == _CONNECTED]
