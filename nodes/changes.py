@@ -114,15 +114,15 @@ class Standing(msgspec.Struct, frozen=True):
     """State of a network after all changes so far.
 
     Attributes:
-        absent: nodes that are out. settings: fields of the scenario that were set.
-        out_since: nodes that are out, each with the step from which it is.
+        out_since: (node, step) of the nodes that are out, and since when. settings: fields of the
+            scenario that were set.
         loss: of every link that has none of its own, None for the scenario's.
         losses: (sender, receiver, probability) of links that have. cuts: (sender, receiver).
         first_step, first_cycle: where the present settings begin.
         faults: the last of each kind and place, in that order.
     """
 
-    absent: tuple[int, ...] = ()
+    out_since: tuple[tuple[int, int], ...] = ()
     settings: Settings = {}
     loss: float | None = None
     losses: tuple[tuple[int, int, float], ...] = ()
@@ -130,19 +130,21 @@ class Standing(msgspec.Struct, frozen=True):
     first_step: int = 0
     first_cycle: int = 0
     faults: tuple[Fault, ...] = ()
-    out_since: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def absent(self) -> tuple[int, ...]:
+        """The nodes that are out, ascending."""
+        return tuple(node for node, _ in self.out_since)
 
     def left(self, node: int, step: int) -> Self:
         """Return the state in which a node is out from a step on, if it was not out before."""
-        absent = tuple(sorted({*self.absent, node}))
         since = {node: step, **dict(self.out_since)}
-        return replace(self, absent=absent, out_since=tuple(sorted(since.items())))
+        return replace(self, out_since=tuple(sorted(since.items())))
 
     def joined(self, node: int) -> Self:
         """Return the state in which a node takes part."""
-        absent = tuple(one for one in self.absent if one != node)
         since = tuple(one for one in self.out_since if one[0] != node)
-        return replace(self, absent=absent, out_since=since)
+        return replace(self, out_since=since)
 
 
 UNCHANGED = Standing()

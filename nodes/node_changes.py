@@ -25,7 +25,9 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     step = state.step + 1
     measured = state.inbox.measured[step]
     # Neighbours whose ends were told meanwhile are out too.
-    standing = replace(config.standing, absent=tuple(sorted(state.absent)))
+    standing = config.standing
+    for neighbour in sorted(state.absent):
+        standing = standing.left(neighbour, step)
     for change in measured.changes:
         standing = after(standing, step, change)
     unchanged = {**state.inbox.measured, step: replace(measured, changes=())}

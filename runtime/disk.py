@@ -1,4 +1,4 @@
-"""Files that a disk does not take, or does not give: full, gone, or not what was written."""
+"""Files that a disk does not take: it is full, a quota or a limit is reached, or it is gone."""
 
 import os
 from collections.abc import Iterator

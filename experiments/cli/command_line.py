@@ -33,7 +33,7 @@ COMMANDS = {
     "new": ("new", "new"),
     "reproduce": ("reproduce", "reproduce"),
     "identify": ("identify", "identify_tyres"),
-    "track": ("targets.track", "track_swarm"),
+    "track": ("track", "track_swarm"),
     "sweep": ("sweep", "sweep"),
     "merge": ("sweep", "merge"),
     "compare": ("compare", "compare"),
@@ -47,7 +47,7 @@ COMMANDS = {
     "node": ("hosts", "node"),
     "doctor": ("doctor", "doctor"),
     "torture": ("simulation_testing", "simulation_testing"),
-    "lives": ("lives", "lives"),
+    "lives": ("simulation_testing", "lives"),
     "help": ("command_line", "show_help"),
     "version": ("command_line", "print_version"),
     "completion": ("command_line", "print_completion"),
@@ -144,8 +144,7 @@ def _nothing() -> None:
 
 def _summary(file: str, function: str) -> str:
     """Return what a command is for, from its file, which is not loaded."""
-    path = Path(__file__).parent.joinpath(*file.split(".")).with_suffix(".py")
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = ast.parse(Path(__file__).with_name(f"{file}.py").read_text(encoding="utf-8"))
     for statement in tree.body:
         match statement:
             case ast.Assign(targets=[ast.Name("SUMMARY")], value=ast.Constant(str(summary))):

@@ -1,12 +1,16 @@
-"""`concord torture`: random scenarios under random faults, held against what must never break."""
+"""The commands of simulation testing: random cases from seeds, held against what must never break.
+
+`concord torture` draws scenarios and faults; `concord lives` draws processes that start, stop and
+die on a virtual clock.
+"""
 
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn, Protocol, TypeVar
 
 import msgspec
 import tyro
@@ -16,6 +20,8 @@ from concord.experiments.scenario_flags import said_in
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
 from concord.experiments.simulation_testing.draw import draw_case
+from concord.experiments.simulation_testing.lives.case import draw_lives
+from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, run_lives
 from concord.experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
 from concord.experiments.sweep.engines import engine_for
@@ -23,6 +29,16 @@ from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 
 MOST_SHRUNK = 3
+
+
+class Outcome(Protocol):
+    """The result of the case of a seed; `broken` is None where all held."""
+
+    @property
+    def broken(self) -> str | None: ...
+
+
+Found = TypeVar("Found", bound=Outcome)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,23 +67,45 @@ def simulation_testing(
         fields = fixed_fields({**said_in(fixed), **wire})
         # Options that no case can meet are refused before the first run.
         draw_case(seeds[0], fields)
-        engine = engine_for(output.workers, None)
-    outcomes: dict[int, SimulationOutcome] = {}
+    _of_seeds(
+        partial(_run_seed, fields),
+        seeds,
+        output.workers,
+        partial(_show, seeds, fields, output.json),
+    )
+
+
+def _of_seeds(
+    run: Callable[[int], Found],
+    seeds: range,
+    workers: int | None,
+    show: Callable[[Sequence[Found], float], None],
+) -> NoReturn:
+    """Compute the cases of seeds, and show those that came to their end, also after Ctrl-C.
+
+    The exit code is 1 where one is broken.
+    """
+    with user_errors():
+        engine = engine_for(workers, None)
+    outcomes: dict[int, Found] = {}
     began = time.monotonic()
+
+    def show_all() -> None:
+        show([outcomes[place] for place in sorted(outcomes)], time.monotonic() - began)
+
     try:
         with progress("seeds", len(seeds)) as on_seeds, user_errors():
-            for place, outcome in engine(partial(_run_seed, fields), seeds):
+            for place, outcome in engine(run, seeds):
                 outcomes[place] = outcome
                 on_seeds(len(outcomes))
     except KeyboardInterrupt:
-        _show(seeds, fields, list(outcomes.values()), time.monotonic() - began, output.json)
+        show_all()
         raise
     except WorkerLost as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
-    in_order = [outcomes[place] for place in sorted(outcomes)]
-    _show(seeds, fields, in_order, time.monotonic() - began, output.json)
-    sys.exit(1 if any(outcome.broken for outcome in in_order) else 0)
+    show_all()
+    sys.exit(1 if any(outcome.broken for outcome in outcomes.values()) else 0)
 
 
 def _run_seed(fields: dict[str, Any], seed: int) -> SimulationOutcome:
@@ -77,9 +115,9 @@ def _run_seed(fields: dict[str, Any], seed: int) -> SimulationOutcome:
 def _show(
     seeds: range,
     fields: dict[str, Any],
+    json: bool,
     outcomes: Sequence[SimulationOutcome],
     seconds: float,
-    json: bool,
 ) -> None:
     injected: Counter[str] = sum((outcome.injected for outcome in outcomes), Counter())
     struck: Counter[str] = sum((outcome.struck for outcome in outcomes), Counter())
@@ -130,3 +168,54 @@ def _failure(outcome: SimulationOutcome, fields: dict[str, Any], smaller: bool) 
         "again": replay_command(case),
         "run": run_command(case),
     }
+
+
+@dataclass(frozen=True)
+class LivesOptions:
+    """Which cases, and what computes them."""
+
+    seeds: str = "1..100"
+    """Seeds of the cases: 17, or 1..1000."""
+    workers: int | None = None
+    """Processes on this machine; one per core when left out."""
+    json: bool = False
+    """Print one JSON object instead of lines."""
+
+
+def lives(options: Annotated[LivesOptions, tyro.conf.arg(name="")]) -> None:
+    """Draw a network from each seed whose processes start, stop and die on a virtual clock, in
+    lockstep or real time, and check promises on time and members."""
+    with user_errors():
+        seeds = read_seeds(options.seeds)
+    _of_seeds(_run_lives, seeds, options.workers, partial(_show_lives, options.json))
+
+
+def _run_lives(seed: int) -> LivesOutcome:
+    return run_lives(draw_lives(seed))
+
+
+def _show_lives(json: bool, outcomes: Sequence[LivesOutcome], seconds: float) -> None:
+    broken = [outcome for outcome in outcomes if outcome.broken]
+    estimates, joins = (
+        sum(getattr(outcome, name) for outcome in outcomes) for name in ("estimates", "joins")
+    )
+    if json:
+        result = {
+            "cases": len(outcomes),
+            "seconds": seconds,
+            "estimates": estimates,
+            "joins": joins,
+            "failures": [outcome._asdict() for outcome in broken],
+        }
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    for outcome in broken:
+        sys.stdout.write(
+            f"seed {outcome.seed}: {outcome.broken}: {outcome.seen}\n"
+            f"  again: concord lives --seeds {outcome.seed}\n"
+        )
+    held = f"{len(broken)} broke a promise" if broken else "no promise broken"
+    sys.stdout.write(
+        f"{estimates} estimates, {joins} returns of nodes\n"
+        f"{len(outcomes)} cases in {seconds:.1f} s: {held}\n"
+    )

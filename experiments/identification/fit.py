@@ -26,7 +26,7 @@ from concord.plants.vehicle.parameters import Car
 
 SEEN = 0.5
 """Greatest deviation of a parameter that the drive tells, over that of its prior."""
-_NORMAL_95 = 1.959964
+NORMAL_95 = 1.959964
 _ITERATIONS, _ENOUGH, _LONGEST = 40, 0.01, 1.0
 """Most steps; least squared length of a step in standard deviations; longest step in spreads."""
 
@@ -222,7 +222,7 @@ def _found(one: Sought, before: float, spreads: float, std: float, robust: float
     if np.isinf(std):
         return FoundParameter(one, before, before, np.nan, np.nan, False)
     low, value, high = (
-        float(one.value(before, spreads + by * robust)) for by in (-_NORMAL_95, 0.0, _NORMAL_95)
+        float(one.value(before, spreads + by * robust)) for by in (-NORMAL_95, 0.0, NORMAL_95)
     )
     if std > SEEN:
         return FoundParameter(one, before, value, 0.0, high, False)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.experiments.identification.fit import NORMAL_95
 from concord.experiments.identification.likelihood import LoggedReadings, likelihood, values_at
 from concord.experiments.identification.sought import Sought, value_at
 from concord.plants.vehicle.model import Tyre
@@ -18,8 +19,8 @@ from concord.plants.vehicle.parameters import Car
 FALSE_ALARMS = 0.01
 LEAST_COUNTED = 100
 _TRIED = (-1.0, -0.3, 0.3, 1.0)
-_REFINED, _NORMAL_95 = 4, 1.959964
-"""Parameters whose gain is refined; the quantile of intervals of 95 %."""
+_REFINED = 4
+"""Number of parameters whose gain is refined."""
 
 
 class Suspect(NamedTuple):
@@ -116,6 +117,6 @@ def suspect(log: LoggedReadings, car: Car, tyre: Tyre, every: tuple[Sought, ...]
 
 def _suspect(one: Sought, car: Car, along: _Along, gain: float) -> Suspect:
     before, (at, bend) = value_at(car, one.path), along.parabola()
-    half = _NORMAL_95 / np.sqrt(bend) if bend else np.inf
+    half = NORMAL_95 / np.sqrt(bend) if bend else np.inf
     low, value, high = (float(one.value(before, at + by)) for by in (-half, 0.0, half))
     return Suspect(one, before, value, low, high, float(gain))

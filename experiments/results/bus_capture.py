@@ -27,8 +27,9 @@ from concord.experiments.results.bus_report import SentShares, timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
 from concord.nodes.faults.active import Faults, sends_nothing
-from concord.nodes.faults.collisions import Passage, collides
+from concord.nodes.faults.collisions import collides
 from concord.nodes.faults.links import carries
+from concord.nodes.faults.passage import Passage
 from concord.nodes.faults.retries import failed_tries, is_given_up, without_errors
 from concord.nodes.faults.senders import sent
 from concord.runtime.recorded import SharedFrame, meaning

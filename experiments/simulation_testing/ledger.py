@@ -16,8 +16,8 @@ from concord.experiments.simulation_testing.node_ledger import NodeLedger, Sent
 from concord.experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
 from concord.experiments.simulation_testing.run_record import RunRecord
 from concord.nodes.changes import Welcome
-from concord.nodes.faults.collisions import Passage
 from concord.nodes.faults.losses import hears
+from concord.nodes.faults.passage import Passage
 from concord.nodes.messages import CycleClosed, NodeEvent, ShareHeard
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
 

@@ -1,22 +1,8 @@
 """Noise of babbling nodes in the frames of others."""
 
-from typing import NamedTuple
-
 from concord.bus.schedule import Schedule
 from concord.nodes.faults.active import EVERYBODY, Faults, hangs
-
-
-class Passage(NamedTuple):
-    """One frame and its way: number `number` of the share of `sender` in `cycle`, in slot
-    `frame_id` of these channels; empty for all channels of the bus."""
-
-    step: int
-    cycle: int
-    sender: int
-    receiver: int
-    number: int
-    frame_id: int
-    channels: str = ""
+from concord.nodes.faults.passage import Passage
 
 
 def tried(kind: str, retry: int) -> str:

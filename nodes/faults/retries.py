@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
 from concord.nodes.faults.active import EVERYBODY, Faults
-from concord.nodes.faults.collisions import Passage, collides, tried
+from concord.nodes.faults.collisions import collides, tried
+from concord.nodes.faults.passage import Passage
 
 _ERRORS = ("babble", "crc", "corrupt")
 

@@ -65,10 +65,14 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: the job cannot be done.
     """
-    if job.place is None and job.port is None and job.sockets is None:
-        with socket_folder() as sockets:
-            run_job(msgspec.structs.replace(job, sockets=sockets), folder, on_event)
+    if job.place is not None or job.port is not None:
+        _run_job(job, folder, on_event)
         return
+    with socket_folder() as sockets:
+        _run_job(msgspec.structs.replace(job, sockets=sockets), folder, on_event)
+
+
+def _run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
     child = subprocess.Popen(
         fresh_command("concord.runtime.processes.launcher_process"),
         stdin=subprocess.PIPE,

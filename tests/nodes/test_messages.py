@@ -77,7 +77,10 @@ MESSAGES = [
     (Unreachable(2, 5), "unreachable/2"),
     (
         Welcome(
-            2, 7, Standing((1,), {"rule": "ci"}, 0.5, ((1, 2, 0.1),), ((0, 1),), 3, 9), Joined(2)
+            2,
+            7,
+            Standing(((1, 4),), {"rule": "ci"}, 0.5, ((1, 2, 0.1),), ((0, 1),), 3, 9),
+            Joined(2),
         ),
         "welcome/2",
     ),
