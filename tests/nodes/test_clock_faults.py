@@ -10,8 +10,13 @@ from concord.bus.clocks import ClockDrift
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.presets import DEMO
+from concord.nodes.changes import Gone, Loss
+from concord.nodes.messages import Measured
+from concord.nodes.node import initial_state, step
+from concord.nodes.node_changes import apply
+from concord.nodes.node_state import Phase
 from concord.scenarios import equipment
-from concord.scenarios.build import build_bus
+from concord.scenarios.build import build_bus, build_node
 from tests.nodes.changing import run, same_bits
 from tests.nodes.fault_networks import FIRST, ROUNDS, STEPS, from_first, ring, total
 
@@ -155,3 +160,15 @@ def test_turns_of_nodes_have_no_key_slots():
     assert bus.sync_nodes == ()
     struck = run(setup, *from_first(*(f"missing {node} 1" for node in range(5))))
     assert "silent" not in struck.counters[5]
+
+
+def test_a_neighbour_whose_process_ends_takes_its_sync_frames(two_sync_nodes: str):
+    """The node learns of that between the steps, and of a change of the network with the next."""
+    setup = ring(nodes=3, cluster=two_sync_nodes)
+    config = build_node(setup, 2)
+    state, _ = step(config, initial_state(config), Gone(0))
+    state, _ = step(config, state, Measured(2, 0, [[None]], None, (Loss(0.5),)))
+    assert state.phase is Phase.CHANGE
+    config, _, _ = apply(config, state)
+    assert config.standing.out_since == ((0, 0),)
+    assert [outage.node for outage in config.faults.outages] == [0]
