@@ -147,6 +147,8 @@ def in_words(words: Sequence[str]) -> Command:
     both = list(words[-1:]) != [_ONE_WAY]
     given = list(words if both else words[:-1])
     verb = given[0] if given else ""
+    if not verb:
+        raise Refused(f"a command is missing. Commands are {', '.join(VERBS)}")
     if verb not in VERBS:
         raise Refused(f"{verb!r} is no command{offered('Commands', verb, VERBS)}")
     try:

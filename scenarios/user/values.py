@@ -156,10 +156,10 @@ def function_or(
     """Return the value of a source: a function, or an instance of a class; `rule` names both.
 
     Raises:
-        ValueError: as `value_of`, or another value.
+        ValueError: as `value_of`, or another value; a class is none of them.
     """
     value = value_of(source)
-    if not isinstance(value, wanted) and not callable(value):
+    if isinstance(value, type) or not (isinstance(value, wanted) or callable(value)):
         raise ValueError(f"{source.name}: it is a {type(value).__name__}; it must be {rule}")
     return value
 

@@ -71,6 +71,12 @@ def test_the_version_is_that_of_the_package(asked: str, capsys: pytest.CaptureFi
     assert concord(capsys, asked) == (0, f"concord {__version__}\n", "")
 
 
+def test_the_package_is_a_command_as_the_script_is():
+    asked = [sys.executable, "-m", "concord", "version"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    assert done.stdout == f"concord {__version__}\n"
+
+
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_a_completion_script_knows_commands_and_options(
     shell: str, capsys: pytest.CaptureFixture[str]

@@ -70,6 +70,8 @@ def test_a_wrong_word_gets_the_nearest_and_all():
 
 
 def test_a_word_that_is_near_to_none_gets_all_and_no_offer():
+    with pytest.raises(Refused, match=r"a command is missing\. Commands are pause, resume"):
+        in_words([])
     with pytest.raises(Refused, match=r"'quux' is no command\. Commands are pause, resume"):
         in_words(["quux"])
     with pytest.raises(Refused, match=r"fault 'quux'\. Faults are corrupt"):

@@ -155,6 +155,16 @@ def test_files_and_modules_that_are_not_there_are_refused():
         scenario_of("oscillator", rule="none.such:rule")
     with pytest.raises(ValueError, match="must be a scenario"):
         scenario_of("tests.scenarios.test_user_values:rule")
+    with pytest.raises(ValueError, match=r"own\.py' ?: a file is given with .* own\.py:NAME"):
+        scenario_of("own.py")
+
+
+def test_a_class_is_refused_as_a_rule_and_as_an_arbiter():
+    place = "tests.scenarios.test_user_values:Kalman"
+    with pytest.raises(ValueError, match="it is a type; it must be a function rule"):
+        prepare(scenario_of("oscillator", rule=place))
+    with pytest.raises(ValueError, match="it is a type; it must be a function"):
+        prepare(scenario_of("oscillator", arbiter=place, occupancy=0.5))
 
 
 def test_objects_of_a_session_go_to_other_processes_only_by_a_name():
