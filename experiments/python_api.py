@@ -25,6 +25,7 @@ from concord.experiments.monte_carlo.histories_file import histories_dataset
 from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
 from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
 from concord.experiments.results.folder import ARRAYS
+from concord.experiments.results.netcdf_file import open_dataset
 from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.cells import with_keep
 from concord.experiments.sweep.engines import engine_for, workers_here
@@ -109,17 +110,15 @@ def load(folder: Path | str) -> "xarray.Dataset":
     docs/sweeps.md name every variable. A variable is read from the file when it is first used.
 
     Raises:
-        ValueError: the folder has no results.
+        ValueError: the folder has no results, or they cannot be read.
     """
-    import xarray
-
     file = Path(folder) if Path(folder).is_file() else Path(folder) / ARRAYS
     if not file.is_file():
         raise ValueError(
             f"{file}: there is no such file; name the folder of a finished run, or finish an "
             f"interrupted one with `concord collect {folder}`"
         )
-    return xarray.open_dataset(file, engine="h5netcdf")
+    return open_dataset(file, "name the folder of a finished run, or the file of a sweep")
 
 
 @python_words()

@@ -5,7 +5,8 @@ HDF5 2.0). So it writes through a file that takes everything, and remembers what
 """
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -96,23 +97,43 @@ def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Datas
     Raises:
         ValueError: the file cannot be read, or lacks a variable; the message ends with `remedy`.
     """
-    import h5py
     import xarray
+
+    with _readable(path, remedy):
+        dataset = xarray.load_dataset(path, engine="h5netcdf")
+    lacking = [name for name in names if name not in dataset.variables]
+    if lacking:
+        raise ValueError(f"{path}: has no variable {', '.join(lacking)}; {remedy}")
+    return dataset
+
+
+def open_dataset(path: Path, remedy: str) -> "xarray.Dataset":
+    """Return the data set of a file; it reads a variable when that is first used.
+
+    Raises:
+        ValueError: the file cannot be read; the message ends with `remedy`.
+    """
+    import xarray
+
+    with _readable(path, remedy):
+        return xarray.open_dataset(path, engine="h5netcdf")
+
+
+@contextmanager
+def _readable(path: Path, remedy: str) -> Iterator[None]:
+    """Turn the errors of reading a file into one that names it."""
+    import h5py
 
     try:
         # h5netcdf's file, when it cannot be opened, raises once more as Python collects it.
         with h5py.File(path, "r") as file:
             dict(file.attrs)
-        dataset = xarray.load_dataset(path, engine="h5netcdf")
+        yield
     except Exception as error:
         # HDF5, h5py, h5netcdf and xarray each raise errors of their own at a damaged byte.
         raise ValueError(
             f"{path}: cannot be read as netCDF ({_first_line(error)}); {remedy}"
         ) from None
-    lacking = [name for name in names if name not in dataset.variables]
-    if lacking:
-        raise ValueError(f"{path}: has no variable {', '.join(lacking)}; {remedy}")
-    return dataset
 
 
 def _first_line(error: Exception) -> str:

@@ -90,6 +90,9 @@ def test_a_launch_leaves_what_load_reads(tmp_path: Path):
         cc.launch(SMALL, out=tmp_path / "run")
     with pytest.raises(ValueError, match="concord collect"):
         cc.load(tmp_path)
+    (tmp_path / "run.nc").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match=r"run\.nc: cannot be read as netCDF"):
+        cc.load(tmp_path)
 
 
 def test_a_sweep_of_a_scenario_keeps_its_options_and_takes_arrays():
