@@ -45,6 +45,7 @@ COMMANDS = {
     "router": ("hosts", "router"),
     "world": ("hosts", "environment"),
     "node": ("hosts", "node"),
+    "up": ("hosts", "up"),
     "doctor": ("doctor", "doctor"),
     "torture": ("simulation_testing", "simulation_testing"),
     "lives": ("simulation_testing", "lives"),

@@ -1,6 +1,7 @@
-"""`concord setup`, `router`, `world` and `node`: one network on several hosts (docs/deployment.md).
+"""`concord setup`, `router`, `world`, `node` and `up`: one network on several hosts.
 
-All hosts get the same setup file; the environment refuses a node with another file.
+All hosts get the same setup file; the environment refuses a node with another file
+(docs/deployment.md).
 """
 
 import signal
@@ -215,3 +216,39 @@ def _checked_nodes(nodes: tuple[int, ...], count: int) -> list[str]:
     if len(set(nodes)) < len(nodes):
         raise ValueError(f"nodes {' '.join(map(str, nodes))}: one is named twice; name each once")
     return list(map(str, nodes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpOptions:
+    """The hosts, and whether to start."""
+
+    hosts: tyro.conf.Positional[Path]
+    """File that says which host runs which nodes (docs/deployment.md)."""
+    print: Literal["shell", "systemd", "compose", "kubernetes"] | None = None
+    """Print the commands or files of another program instead of starting over ssh."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def up(options: Annotated[UpOptions, tyro.conf.arg(name="")]) -> None:
+    """Start a network on several hosts over ssh, show its log, and end it."""
+    from concord.experiments.hosts.plan import read_plan
+    from concord.experiments.hosts.printed import FORMS
+    from concord.experiments.hosts.up import NetworkOverSsh, announcement
+
+    with user_errors():
+        plan = read_plan(options.hosts)
+        if options.print is not None:
+            sys.stdout.write(FORMS[options.print](plan))
+            return
+    sys.stderr.write(announcement(plan) + "\n")
+    with NetworkOverSsh(plan, _log) as network:
+        with user_errors():
+            network.start_routers()
+        code = network.run(*(("--json",) if options.json else ()))
+    sys.exit(code)
+
+
+def _log(line: str) -> None:
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()

@@ -1,0 +1,1 @@
+"""A network on several hosts from one file: over ssh, or as files of other programs."""
