@@ -5,6 +5,7 @@ Drivers that pass messages must agree bit for bit, the batched one to 1e-10 of t
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -37,7 +38,7 @@ def agree(
     with user_errors():
         setup = prepare(resolved(scenario))
     try:
-        found = agreement(setup, progress)
+        found = agreement(setup, partial(progress, as_json=output.json))
     except NetworkFailed as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)

@@ -65,7 +65,7 @@ def compare(options: Annotated[CompareOptions, tyro.conf.arg(name="")]) -> None:
     total = sum(e.case.runs for n, e in enumerate(entries) if not e.reason and n not in done)
     started = time.monotonic()
     try:
-        with progress("runs", total) as on_runs:
+        with progress("runs", total, as_json=options.json) as on_runs:
             entries, figures = compute_missing(entries, done, out, engine, on_runs)
     except KeyboardInterrupt:
         sys.stderr.write(f"interrupted; finished entries are kept in {out / KEPT}, and the same "

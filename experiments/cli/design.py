@@ -88,7 +88,7 @@ def design(
         asked: dict[str, Any] = {**settled}
         for warning in (*few_steps(scenario_with_known(**asked)[0]), *few_runs(output.runs)):
             _say(f"warning: {warning}")
-        shown_briefly = partial(progress, brief=True)
+        shown_briefly = partial(progress, brief=True, as_json=output.json)
         task = SearchTask(
             target, output.minimise, settled, space, output.runs, engine,
             workers_here(output.workers, output.dask), _say, shown_briefly,

@@ -168,7 +168,7 @@ def environment(options: Annotated[EnvironmentOptions, tyro.conf.arg(name="")]) 
         place,
     )
     scenario = description.setup.scenario
-    with progress(scenario.name, scenario.steps) as on_step:
+    with progress(scenario.name, scenario.steps, as_json=options.json) as on_step:
 
         def on_event(happened: Happened) -> None:
             if happened.what == "step":

@@ -155,7 +155,9 @@ def _watched(
     """Run a setup, with its page beside it if that is asked for; return its pace."""
     pace, tempo = RunPace(None, None), _tempo(output, setup)
     try:
-        with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
+        steps = setup.scenario.steps
+        shown = progress(setup.scenario.name, steps, as_json=output.json)
+        with shown as on_step, user_errors():
             driver = (
                 DRIVERS[output.driver] if tempo is None else partial(over_processes, tempo=tempo)
             )

@@ -72,6 +72,7 @@ def simulation_testing(
         seeds,
         output.workers,
         partial(_show, seeds, fields, output.json),
+        output.json,
     )
 
 
@@ -80,6 +81,7 @@ def _of_seeds(
     seeds: range,
     workers: int | None,
     show: Callable[[Sequence[Found], float], None],
+    as_json: bool,
 ) -> NoReturn:
     """Compute the cases of seeds, and show those that came to their end, also after Ctrl-C.
 
@@ -94,7 +96,7 @@ def _of_seeds(
         show([outcomes[place] for place in sorted(outcomes)], time.monotonic() - began)
 
     try:
-        with progress("seeds", len(seeds)) as on_seeds, user_errors():
+        with progress("seeds", len(seeds), as_json=as_json) as on_seeds, user_errors():
             for place, outcome in engine(run, seeds):
                 outcomes[place] = outcome
                 on_seeds(len(outcomes))
@@ -187,7 +189,7 @@ def lives(options: Annotated[LivesOptions, tyro.conf.arg(name="")]) -> None:
     lockstep or real time, and check promises on time and members."""
     with user_errors():
         seeds = read_seeds(options.seeds)
-    _of_seeds(_run_lives, seeds, options.workers, partial(_show_lives, options.json))
+    _of_seeds(_run_lives, seeds, options.workers, partial(_show_lives, options.json), options.json)
 
 
 def _run_lives(seed: int) -> LivesOutcome:

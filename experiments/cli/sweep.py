@@ -97,7 +97,7 @@ def sweep(
     _announce(begun, out)
     total = sum(part.runs for part in begun.parts.values()) + sum(p.runs for p in begun.missing)
     try:
-        with progress("runs", max(total, 1)) as on_runs:
+        with progress("runs", max(total, 1), as_json=output.json) as on_runs:
             swept = finish(begun, engine, on_runs)
     except KeyboardInterrupt:
         sys.stderr.write(f"interrupted; {_goes_on(output, out)}\n")

@@ -36,7 +36,7 @@ def analyse(source: Source = "", *, options: Options, json: bool = False) -> Non
     with user_errors():
         subject = subject_of(source, options, connected=False)
     nodes = nodes_of(subject.weights)
-    with progress("nodes taken away", losses_of(nodes)) as on_node, user_errors():
+    with progress("nodes taken away", losses_of(nodes), as_json=json) as on_node, user_errors():
         report = report_of(subject, options.seed, on_node)
     if json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
@@ -69,7 +69,7 @@ def compare(
         if seeds < 1:
             raise ValueError(f"--seeds {seeds}: must be at least 1")
         weights = options.weights.split(",") if options.weights else [None]
-        with progress("graphs", len(sources) * len(weights)) as on_row:
+        with progress("graphs", len(sources) * len(weights), as_json=json) as on_row:
             rows = compared(sources, options, weights, seeds, on_row)
     if json:
         sys.stdout.write(msgspec.json.encode({"rows": rows}).decode() + "\n")

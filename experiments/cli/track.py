@@ -67,7 +67,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
     ]
     found: dict[int, SwarmRun] = {}
     try:
-        with progress("runs", options.runs) as on_runs:
+        with progress("runs", options.runs, as_json=options.json) as on_runs:
             for place, run in engine(partial(run_swarm, alone=options.alone), cases):
                 found[place] = run
                 on_runs(len(found))

@@ -47,7 +47,9 @@ def run_many(
     keep = (READINGS, AGES, INNOVATIONS, *((COV,) if covariances else ()))
     stopped: KeyboardInterrupt | None = None
     try:
-        with progress(setup.scenario.name, runs * setup.scenario.steps) as on_progress:
+        with progress(
+            setup.scenario.name, runs * setup.scenario.steps, as_json=as_json
+        ) as on_progress:
             histories = simulate(setup, numbers, keep=keep, on_progress=on_progress)
     except KeyboardInterrupt as interrupted:
         kept = interrupted.histories if isinstance(interrupted, Interrupted) else None

@@ -1,11 +1,14 @@
 """Plain lines of progress: how far, and how long it still takes at the rate so far."""
 
+import json
 from collections.abc import Iterator
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
 
 from concord.experiments import progress as module
+from concord.experiments.__main__ import main
 from concord.experiments.progress import progress, time_left
 
 
@@ -63,3 +66,32 @@ def test_lines_name_what_is_done_and_the_time_left(
         for clock.done in range(1, 41):
             on_run(clock.done)
     assert capsys.readouterr().err.splitlines() == [f"runs: {line}" for line in lines]
+
+
+@pytest.mark.parametrize(("step_s", "told"), [(0.5, [1, 3, 5, 7, 9, 10]), (2.0, [*range(1, 11)])])
+def test_events_are_json_lines_one_a_second_at_most_and_one_at_the_end(
+    step_s: float, told: list[int], capsys, monkeypatch
+):
+    clock = Clock(step_s)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock))
+    with progress("runs", 10, as_json=True) as on_run:
+        for clock.done in range(1, 11):
+            on_run(clock.done)
+    events = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert [event.pop("done") for event in events] == told
+    # The clock is exact, so the rate is, from the second call on.
+    left = [event.pop("seconds_left") for event in events]
+    assert left == [None, *(step_s * (10 - done) for done in told[1:])]
+    assert all(later < earlier for earlier, later in pairwise(left[1:]))
+    assert all(event == {"event": "progress", "of": "runs", "total": 10} for event in events)
+
+
+def test_a_sweep_that_prints_json_has_json_events(tmp_path, capsys):
+    words = ["--scenario", "oscillator", "--nodes", "2", "--steps", "5", "--runs", "2"]
+    main(["sweep", *words, "--workers", "1", "--json", "-o", str(tmp_path / "s.nc")])
+    said = capsys.readouterr()
+    assert json.loads(said.out)["computed_pieces"]
+    [*_, last] = [line for line in said.err.splitlines() if line.startswith("{")]
+    assert json.loads(last) == {
+        "event": "progress", "of": "runs", "done": 2, "total": 2, "seconds_left": 0.0,
+    }  # fmt: skip
