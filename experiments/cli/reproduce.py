@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.results.folder import new_folder
+from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 from concord.papers.kit.report import (
     REPORT,
@@ -67,7 +68,11 @@ def reproduce(options: Annotated[ReproduceOptions, tyro.conf.arg(name="")]) -> N
         _, folder = new_folder(options.out, options.paper)
     sys.stderr.write(f"seed {seed}, {runs} runs; results in {folder}\n")
     started = time.monotonic()
-    report = carry_out(options.paper, paper, folder, seed, runs)
+    try:
+        report = carry_out(options.paper, paper, folder, seed, runs)
+    except WorkerLost as error:
+        sys.stderr.write(f"concord: {error}; finished sections are in {folder}\n")
+        sys.exit(1)
     sys.stderr.write(f"done in {time.monotonic() - started:.0f} s\n")
     _show(report, folder, options.json)
     if not report.ok:

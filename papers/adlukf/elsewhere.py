@@ -1,17 +1,18 @@
 """Whether what holds of the ADLUKF holds on other cars and in other manoeuvres."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.progress import progress
 from concord.papers.adlukf import tables
 from concord.papers.adlukf.drives import DRIVEN
 from concord.papers.adlukf.filters import CONTESTANTS
 from concord.papers.adlukf.study import CASES, TIME_STEP_S, build_study, estimate, score
 from concord.papers.kit.checks import below
 from concord.papers.kit.report import Section, markdown_table
+from concord.papers.kit.side_by_side import side_by_side
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 
@@ -40,15 +41,12 @@ class Elsewhere(NamedTuple):
 
 def drive_elsewhere(seeds: int, seed: int) -> list[Elsewhere]:
     """The filters on every drive, each with the data sheet of its car and the same Q."""
-    found = []
-    with progress("other cars and manoeuvres", len(ELSEWHERE)) as on_step:
-        for number, (car, manoeuvre) in enumerate(ELSEWHERE, start=1):
-            found.append(_drive(car, manoeuvre, seeds, seed + number))
-            on_step(number)
-    return found
+    jobs = [(*where, seed + number) for number, where in enumerate(ELSEWHERE, start=1)]
+    return side_by_side("other cars and manoeuvres", partial(_drive, seeds), jobs)
 
 
-def _drive(car: str, manoeuvre: str, seeds: int, seed: int) -> Elsewhere:
+def _drive(seeds: int, job: tuple[str, str, int]) -> Elsewhere:
+    car, manoeuvre, seed = job
     true_car = TRUE_CARS[car]
     drive = simulate(MANOEUVRES[manoeuvre], true_car, TIME_STEP_S)
     cases = tuple(CASES[name] for name in ("true R", "0.01 I", "2 I"))

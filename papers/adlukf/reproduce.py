@@ -6,12 +6,12 @@ multi-body model takes the place of its simulator.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.progress import progress
 from concord.papers.adlukf import sections, verdict
 from concord.papers.adlukf.claims import claims, errata, gather
 from concord.papers.adlukf.consistency import average_nees, matched_study
@@ -35,6 +35,7 @@ from concord.papers.adlukf.study import (
 from concord.papers.adlukf.tables import COMPARED, ScoresByFilter, case_index
 from concord.papers.kit.figures import save
 from concord.papers.kit.report import Paper, Section
+from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.kit.traces import write_traces
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import linear_tyre, tanh_tyre
@@ -121,19 +122,23 @@ def _run(study: ManoeuvreStudy) -> FilterResults:
     scores, traces, errors, failed = {}, {}, {}, {}
     truth = quantities(study.truth)
     means: dict[str, np.ndarray] = {}
-    with progress("adlukf", len(CONTESTANTS)) as on_step:
-        for number, (name, contestant) in enumerate(CONTESTANTS.items(), start=1):
-            mean = estimate(study, contestant).mean
-            scores[name] = score(study, mean)
-            traces[name] = quantities(mean[:, :, :, 0])
-            errors[name] = np.abs(quantities(mean) - truth).mean(axis=3)
-            failed[name] = int((~np.isfinite(mean).all(axis=(0, -1))).sum())
-            if name in ("UKF", "CKF"):
-                means[name] = mean
-            on_step(number)
+    names = list(CONTESTANTS)
+    for name, mean in zip(
+        names, side_by_side("adlukf", partial(_means, study), names), strict=True
+    ):
+        scores[name] = score(study, mean)
+        traces[name] = quantities(mean[:, :, :, 0])
+        errors[name] = np.abs(quantities(mean) - truth).mean(axis=3)
+        failed[name] = int((~np.isfinite(mean).all(axis=(0, -1))).sum())
+        if name in ("UKF", "CKF"):
+            means[name] = mean
     largest = np.abs(means["UKF"] - means["CKF"]).max(axis=(0, 1, 3, 4))
     difference = dict(zip(CASES, largest.tolist(), strict=True))
     return FilterResults(scores, traces, errors, failed, difference)
+
+
+def _means(study: ManoeuvreStudy, name: str) -> np.ndarray:
+    return estimate(study, CONTESTANTS[name]).mean
 
 
 def _signal_sd(outcome: FilterResults, name: str) -> np.ndarray:

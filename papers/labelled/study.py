@@ -3,21 +3,19 @@
 Every form hears the same noise in the same run, so that ratios are of pairs.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
-from concord.experiments.progress import progress
 from concord.experiments.results.bus_report import SentShares, wire_per_step
 from concord.experiments.results.record_spread import figures_of
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
+from concord.papers.kit.side_by_side import side_by_side
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
@@ -146,21 +144,10 @@ def outcomes(job: StudyJob) -> list[RunOutcome]:
 
 
 def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, float, FormCell]]:
-    """All cells of the table, one after the other, as they get ready."""
+    """All cells of the table, in order."""
     jobs = [StudyJob(form, part, seed, runs) for form in forms for part in OCCUPANCIES]
     for job, found in zip(jobs, side_by_side("errors and bytes", outcomes, jobs), strict=True):
         yield job.form, job.occupancy, cell(found)
-
-
-def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """Yield the result of each job, in the order of the jobs. The jobs use all processors."""
-    with (
-        progress(title, len(jobs)) as on_done,
-        ProcessPoolExecutor(mp_context=get_context("spawn")) as pool,
-    ):
-        for done, result in enumerate(pool.map(work, jobs), start=1):
-            on_done(done)
-            yield result
 
 
 def cell(outcomes: Sequence[RunOutcome]) -> FormCell:

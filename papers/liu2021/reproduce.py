@@ -1,14 +1,15 @@
 """`concord reproduce liu2021`: set membership over FlexRay: figures, tables, guarantee."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from concord.experiments.progress import progress
 from concord.papers.kit.checks import Check, above, at_most, near
 from concord.papers.kit.figures import save_all
 from concord.papers.kit.report import Paper, Section, markdown_table
+from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.kit.traces import write_traces
 from concord.papers.liu2021.claims import claims, errata, gather
 from concord.papers.liu2021.comparisons import STEPS, by_shape, by_slots, multipliers_apart
@@ -56,12 +57,13 @@ def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
 
 
 def _outcomes(title: str, batch: SequenceBatch) -> dict[str, BoundedEstimates]:
-    found: dict[str, BoundedEstimates] = {}
-    with progress(title, len(ESTIMATORS)) as on_estimator:
-        for name, estimate in ESTIMATORS.items():
-            found[name] = estimate(batch)
-            on_estimator(len(found))
-    return found
+    names = list(ESTIMATORS)
+    found = side_by_side(title, partial(_estimates, batch), names)
+    return dict(zip(names, found, strict=True))
+
+
+def _estimates(batch: SequenceBatch, name: str) -> BoundedEstimates:
+    return ESTIMATORS[name](batch)
 
 
 PAPER = Paper(

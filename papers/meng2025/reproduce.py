@@ -1,16 +1,17 @@
 """`concord reproduce meng2025`: the UKF under the FlexRay protocol, its figures and its claims."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.progress import progress
 from concord.papers.kit.checks import Check, above, agrees, at_most, below
 from concord.papers.kit.figures import save_all
 from concord.papers.kit.report import Paper, Section, markdown_table
+from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.kit.traces import write_traces
 from concord.papers.meng2025.ablation import ablations
 from concord.papers.meng2025.claims import claims, gather
@@ -35,14 +36,16 @@ RECOMMENDED_RMSE, RECOMMENDED_ANEES, PARTICLE_RMSE = (0.243, 0.220), 2.06, (0.23
 REFERENCE = "recommended"
 
 
+def _carry_out(batch: MeasuredBatch, name: str) -> SlotEstimates:
+    return carry_out(batch, methods()[name])
+
+
 def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     batch = simulate(seed, runs, STEPS)
     compared = methods()
-    outcomes: dict[str, SlotEstimates] = {}
-    with progress("methods", len(compared)) as on_method:
-        for name, method in compared.items():
-            outcomes[name] = carry_out(batch, method)
-            on_method(len(outcomes))
+    names = list(compared)
+    carried_out = side_by_side("methods", partial(_carry_out, batch), names)
+    outcomes = dict(zip(names, carried_out, strict=True))
     labels = {name: method.label for name, method in compared.items()}
     drawn = figures(batch, outcomes[REFERENCE], outcomes["paper-literal"])
     yield Section(3, "Figures", save_all(drawn, folder, first=2))

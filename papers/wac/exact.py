@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.progress import progress
 from concord.papers.kit.checks import Check, above, at_most, near
+from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
 from concord.papers.wac.exact_rules import RULES
 from concord.plants.control.cruise import cruise
@@ -78,21 +78,27 @@ def measure(plants: dict[str, Callable[[], LinearPlant]] = PLANTS) -> Exact:
     """Propagate everything."""
     everywhere = averagings(GRAPHS, ROUNDS)
     on_ring = averagings(("ring",), ROUNDS)[0]
-    after, worst, alone, settled = {}, {}, {}, {}
-    with progress("exact covariances", len(plants) + 1) as done:
-        for count, (name, make) in enumerate(plants.items(), start=1):
-            network = network_of(make())
-            results = {rule: _last_and_worst(network, rule, everywhere, STEPS) for rule in FUSED}
-            after[name] = {rule: last for rule, (last, _) in results.items()}
-            worst[name] = {rule: largest for rule, (_, largest) in results.items()}
-            alone[name], _ = _last_and_worst(network, "ci", np.eye(NODES), STEPS)
-            done(count)
-        bus = network_of(suspension())
-        for rule in FUSED:
-            settled[rule], _ = _last_and_worst(bus, rule, on_ring, SETTLED_STEPS)
-        done(len(plants) + 1)
+    # (plant, rule, averaging, steps): each rule on each plant, each plant alone, then the bus.
+    jobs = [
+        *((make, rule, everywhere, STEPS) for make in plants.values() for rule in FUSED),
+        *((make, "ci", np.eye(NODES), STEPS) for make in plants.values()),
+        *((suspension, rule, on_ring, SETTLED_STEPS) for rule in FUSED),
+    ]
+    found = iter(side_by_side("exact covariances", _propagated, jobs))
+    results = {name: {rule: next(found) for rule in FUSED} for name in plants}
+    after = {name: {rule: last for rule, (last, _) in of.items()} for name, of in results.items()}
+    worst = {name: {rule: most for rule, (_, most) in of.items()} for name, of in results.items()}
+    alone = {name: next(found)[0] for name in plants}
+    settled = {rule: next(found)[0] for rule in FUSED}
     slem = {name: second_eigenvalue_modulus(weights_of(name)) for name in GRAPHS}
     return Exact(after, settled, worst, alone, slem)
+
+
+def _propagated(
+    job: tuple[Callable[[], LinearPlant], str, np.ndarray, int],
+) -> tuple[np.ndarray, np.ndarray]:
+    make, rule, averaging, steps = job
+    return _last_and_worst(network_of(make()), rule, averaging, steps)
 
 
 def _last_and_worst(

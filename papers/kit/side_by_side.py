@@ -1,0 +1,30 @@
+"""The independent parts of a reproduction, on all cores of the machine."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from concord.experiments.progress import progress
+from concord.experiments.sweep.engines import workers_here
+from concord.experiments.sweep.workers import in_processes
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+def side_by_side(
+    title: str, work: Callable[[Job], Result], jobs: Sequence[Job], workers: int | None = None
+) -> list[Result]:
+    """Return the results of `work` in the order of the jobs, with one process for each core.
+
+    Work and jobs travel to other processes, so they must be picklable. The results do not depend
+    on the number of workers.
+
+    Raises:
+        WorkerLost: a worker was killed, most likely for want of memory.
+    """
+    found: dict[int, Result] = {}
+    with progress(title, len(jobs)) as on_done:
+        for place, result in in_processes(workers_here(workers), work, jobs):
+            found[place] = result
+            on_done(len(found))
+    return [found[place] for place in range(len(jobs))]
