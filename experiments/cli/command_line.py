@@ -3,10 +3,11 @@
 import ast
 import signal
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from tyro.extras import SubcommandApp
@@ -68,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         arguments = ["version"]
     prepare_streams()
     try:
-        commands = _commands(arguments[:1])
+        command = _command(arguments[:1])
         with user_errors():
             refuse_repeated(arguments)
         # From here on there is something to clean up.
@@ -76,11 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
         # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
         signal.signal(signal.SIGTERM, _interrupt)
         with standard_output():
-            commands.cli(
-                prog="concord",
-                description="Distributed consensus sensor networks on a FlexRay bus.",
-                args=arguments,
-            )
+            command(arguments)
     except NotWritten as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
@@ -117,25 +114,44 @@ def print_completion(
     main(["--tyro-write-completion", shell, "-"])
 
 
-def _commands(asked: list[str]) -> SubcommandApp:
-    """Return the command that is asked for, alone; all of them where none or an option is."""
+def _command(asked: list[str]) -> Callable[[list[str]], object]:
+    """Return the command that is asked for, as a function of all arguments.
+
+    It is one of all commands where none, an option or a group is asked for.
+    """
     everything = COMMANDS | GROUPS
     with user_errors():
         if asked and asked[0] not in everything and not asked[0].startswith("-"):
             raise unknown_name("command", asked[0], everything)
+    if asked and asked[0] in COMMANDS:
+        # Alone: a table of commands makes tyro load typeguard, for a tenth of a second.
+        function = _loaded(asked[0])
+        return lambda arguments: tyro.cli(function, prog=f"concord {asked[0]}", args=arguments[1:])
+    return lambda arguments: _commands(asked).cli(
+        prog="concord",
+        description="Distributed consensus sensor networks on a FlexRay bus.",
+        args=arguments,
+    )
+
+
+def _loaded(name: str) -> Any:
+    file, function = (COMMANDS | GROUPS)[name]
+    return getattr(import_module(f"concord.experiments.cli.{file}"), function)
+
+
+def _commands(asked: list[str]) -> SubcommandApp:
+    """Return the group that is asked for, alone; all commands where none or an option is."""
+    everything = COMMANDS | GROUPS
     commands = SubcommandApp()
     if asked in ([], ["-h"], ["--help"]):
         for name, (file, function) in everything.items():
             commands.command(name=name, help=_summary(file, function))(_nothing)
         return commands
     for name in [name for name in asked if name in everything] or everything:
-        file, function = everything[name]
-        module = import_module(f"concord.experiments.cli.{file}")
-        command = getattr(module, function)
         if name in GROUPS:
-            commands.command(command(), name=name, help=module.SUMMARY)
+            commands.command(_loaded(name)(), name=name, help=_summary(*GROUPS[name]))
         else:
-            commands.command(command, name=name)
+            commands.command(_loaded(name), name=name)
     return commands
 
 

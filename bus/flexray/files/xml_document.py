@@ -8,12 +8,16 @@ from collections.abc import Iterator
 from decimal import Decimal, InvalidOperation
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
-from xml.sax.saxutils import escape, quoteattr
 
 from concord.bus.flexray.cluster import ClusterError
 
 Element = ElementTree.Element
 _XML = "http://www.w3.org/XML/1998/namespace"
+# XML 1.0, 2.4 and 3.3.3. `xml.sax.saxutils` does the same, but loads urllib and ssl for it.
+_IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+_IN_ATTRIBUTE = _IN_TEXT | str.maketrans(
+    {'"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+)
 
 
 class ClusterFileError(ClusterError):
@@ -78,8 +82,7 @@ def document_text(document: XmlDocument) -> str:
     for prefix, uri in sorted(document.spaces.items(), reverse=True):
         prefixes.setdefault(uri, prefix)
     declared = "".join(
-        f" xmlns{prefix and ':'}{prefix}={quoteattr(uri)}"
-        for prefix, uri in document.spaces.items()
+        f" xmlns{prefix and ':'}{prefix}={_quoted(uri)}" for prefix, uri in document.spaces.items()
     )
     parts = ['<?xml version="1.0" encoding="UTF-8"?>\n']
     parts += _texts(document.root, prefixes, declared)
@@ -92,17 +95,21 @@ def _texts(element: Element, prefixes: dict[str, str], declared: str = "") -> It
         return
     name = _qualified(element.tag, prefixes)
     attributes = "".join(
-        f" {_qualified(key, prefixes)}={quoteattr(value)}" for key, value in element.items()
+        f" {_qualified(key, prefixes)}={_quoted(value)}" for key, value in element.items()
     )
     if not len(element) and not element.text:
         yield f"<{name}{declared}{attributes}/>"
     else:
-        yield f"<{name}{declared}{attributes}>{escape(element.text or '')}"
+        yield f"<{name}{declared}{attributes}>{(element.text or '').translate(_IN_TEXT)}"
         for child in element:
             yield from _texts(child, prefixes)
             # That of a comment is in its own text.
-            yield escape(child.tail or "") if isinstance(child.tag, str) else ""
+            yield (child.tail or "").translate(_IN_TEXT) if isinstance(child.tag, str) else ""
         yield f"</{name}>"
+
+
+def _quoted(value: str) -> str:
+    return f'"{value.translate(_IN_ATTRIBUTE)}"'
 
 
 def _qualified(tag: str, prefixes: dict[str, str]) -> str:
