@@ -23,6 +23,8 @@ BENCHMARKS = {
     "node": "node_loop",
     "launch": "launch",
     "lockstep": "lockstep",
+    "ladder": "ladder",
+    "workers": "workers",
     "set-membership": "set_membership",
     "dashboard": "dashboard",
 }

@@ -155,7 +155,8 @@ class _Messages:
         decode(topic, data)
 
 
-def _language(load: Load) -> _Language:
+def language_of(load: Load) -> _Language:
+    """Return how the messages of the loop are made and read."""
     return _Messages(load) if load.says else _Bytes(load)
 
 
@@ -173,7 +174,7 @@ def pass_on(transport: Transport, load: Load, node: int) -> None:
     shares = [(j, f"share/{j}") for j in neighbours]
     transport.join(str(node), {ENVIRONMENT, RECORDER, *map(str, neighbours)})
     transport.send(f"hello/{node}", b"")
-    language, filters = _language(load), _Filters(len(neighbours))
+    language, filters = language_of(load), _Filters(len(neighbours))
     seen = 0.0
     for step in range(load.steps):
         language.hear(heartbeat, _receive(transport, heartbeat))
@@ -233,7 +234,7 @@ def _drive(run: str, links: ZenohEndpoints, load: Load) -> None:
     transport.join(ENVIRONMENT, {RECORDER, *map(str, range(nodes))})
     for _ in range(nodes):
         transport.receive("hello/*")
-    language = _language(load)
+    language = language_of(load)
     started = time.perf_counter()
     for step in range(load.steps + load.lead):
         if step >= load.lead:
