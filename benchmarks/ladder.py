@@ -17,16 +17,24 @@ from benchmarks.bare_loop import language_of
 from benchmarks.lockstep import (
     NODES,
     SHORT_STEPS,
-    _floor,
-    _lockstep,
-    _pace,
+    floor_rate,
     load_of,
+    lockstep_rate,
+    pace_of,
     setup_of,
     traffic_of,
 )
 from benchmarks.lockstep import STEPS as NETWORK_STEPS
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, say
-from benchmarks.node_loop import NODE, STEPS, Messages, _bare, _Memory, _memory, _node
+from benchmarks.node_loop import (
+    NODE,
+    STEPS,
+    Messages,
+    RecordedNetwork,
+    bare_node_s,
+    node_s,
+    recorded_network,
+)
 from concord.nodes import node as state_machine
 from concord.nodes.messages import ShareHeard, decode, encode, topic
 from concord.nodes.node_state import Phase
@@ -49,10 +57,10 @@ def main() -> BenchmarkFigures:
     traffic = traffic_of(messages)
     load, load_of_bytes = (load_of(setup, traffic, says) for says in (True, False))
     contestants: dict[str, Callable[[], float]] = {
-        "filters and loop": partial(_bare, load_of_bytes, messages, True),
-        "codec": partial(_bare, load, messages, True),
+        "filters and loop": partial(bare_node_s, load_of_bytes, messages, True),
+        "codec": partial(bare_node_s, load, messages, True),
         "state machine": partial(_transitions, setup, messages),
-        "inbox and republisher": partial(_node, setup, messages, True),
+        "inbox and republisher": partial(node_s, setup, messages, True),
         "environment, bare": partial(_bare_environment, setup, messages),
         "environment": partial(_environment, setup, messages),
         "recorder": partial(_recorder, setup, messages),
@@ -83,7 +91,7 @@ def main() -> BenchmarkFigures:
 def _transitions(setup: Setup, messages: Messages) -> float:
     """Seconds per step of a node's state machine, its messages read and written."""
     config = build_node(setup, NODE)
-    memory: _Memory = _memory(setup.neighbours[NODE], messages, True)
+    memory: RecordedNetwork = recorded_network(setup.neighbours[NODE], messages, True)
     memory.join()
     state = state_machine.initial_state(config)
     while state.phase is not Phase.FINISHED:
@@ -151,13 +159,13 @@ def _network_us(setup: Setup, short: Setup) -> dict[str, float]:
     """Microseconds of all processors per step: of the loop of bytes, and of the network."""
     traffic = traffic_of(in_memory(short))
     runs = {
-        "bytes": [partial(_floor, load_of(one, traffic, says=False)) for one in (setup, short)],
-        "lockstep": [partial(_lockstep, one) for one in (setup, short)],
+        "bytes": [partial(floor_rate, load_of(one, traffic, says=False)) for one in (setup, short)],
+        "lockstep": [partial(lockstep_rate, one) for one in (setup, short)],
     }
     spent: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(NETWORK_TURNS):
         for name, (long, shorter) in runs.items():
-            spent[name].append(_pace(long, shorter).processor_s)
+            spent[name].append(pace_of(long, shorter).processor_s)
     return {name: median_us(values) for name, values in spent.items()}
 
 

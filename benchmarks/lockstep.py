@@ -46,20 +46,20 @@ def main() -> BenchmarkFigures:
     setup, short = (setup_of(steps) for steps in (STEPS, SHORT_STEPS))
     traffic = traffic_of(in_memory(short))
     contestants: dict[str, tuple[Run, Run]] = {
-        "lockstep": (partial(_lockstep, setup), partial(_lockstep, short)),
+        "lockstep": (partial(lockstep_rate, setup), partial(lockstep_rate, short)),
         "bare": (
-            partial(_floor, load_of(setup, traffic)),
-            partial(_floor, load_of(short, traffic)),
+            partial(floor_rate, load_of(setup, traffic)),
+            partial(floor_rate, load_of(short, traffic)),
         ),
         "bare bytes": (
-            partial(_floor, load_of(setup, traffic, says=False)),
-            partial(_floor, load_of(short, traffic, says=False)),
+            partial(floor_rate, load_of(setup, traffic, says=False)),
+            partial(floor_rate, load_of(short, traffic, says=False)),
         ),
     }
     paces: dict[str, list[LockstepPace]] = {name: [] for name in contestants}
     for _ in range(REPETITIONS):
         for name, runs in contestants.items():
-            paces[name].append(_pace(*runs))
+            paces[name].append(pace_of(*runs))
     rates = {name: [one.steps_per_second for one in turns] for name, turns in paces.items()}
     spent = {name: [1e3 * one.processor_s for one in turns] for name, turns in paces.items()}
     say(
@@ -89,7 +89,7 @@ def setup_of(steps: int) -> Setup:
     return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
 
 
-def _pace(run: Run, shorter: Run) -> LockstepPace:
+def pace_of(run: Run, shorter: Run) -> LockstepPace:
     """Return the rate of a run, and what each of its steps takes of the processor."""
     before_s = _children_s()
     shorter()
@@ -105,7 +105,8 @@ def _children_s() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _lockstep(setup: Setup) -> float:
+def lockstep_rate(setup: Setup) -> float:
+    """Return the steps per second of a network over processes."""
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         pace = over_processes(setup, Path(folder).name, recording, None, lambda _: None)
@@ -148,7 +149,8 @@ def load_of(setup: Setup, traffic: MessageTraffic, says: bool = True) -> Load:
     )
 
 
-def _floor(load: Load) -> float:
+def floor_rate(load: Load) -> float:
+    """Return the steps per second of a bare loop."""
     process = subprocess.Popen(
         fresh_command("benchmarks.bare_loop"),
         stdin=subprocess.PIPE,

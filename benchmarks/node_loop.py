@@ -42,7 +42,7 @@ _OTHERS = np.zeros(1 << 21)
 Messages = Sequence[tuple[str, bytes]]
 
 
-class _Memory:
+class RecordedNetwork:
     """A node's place in a network that was recorded; times it from its first word to its last."""
 
     def __init__(self, messages: Messages, first_of_round: Sequence[str], steps: int) -> None:
@@ -98,8 +98,8 @@ def main() -> BenchmarkFigures:
     load = load_of(setup, traffic_of(messages))
     contestants: dict[str, Callable[[], float]] = {}
     for warmth, is_cold in (("warm", False), ("cold", True)):
-        node = partial(_node, setup, messages, is_cold)
-        bare = partial(_bare, load, messages, is_cold)
+        node = partial(node_s, setup, messages, is_cold)
+        bare = partial(bare_node_s, load, messages, is_cold)
         contestants |= {warmth: node, f"{warmth}, bare": bare}
     given = in_turns(contestants, TURNS)
     say(f"a node of {NODES}, {GRAPH}, fed from memory, beside its bare loop; {TURNS} turns")
@@ -117,9 +117,9 @@ def main() -> BenchmarkFigures:
     return results
 
 
-def _node(setup: Setup, messages: Messages, cold: bool) -> float:
+def node_s(setup: Setup, messages: Messages, cold: bool) -> float:
     """Seconds per step of a node as it is."""
-    memory = _memory(setup.neighbours[NODE], messages, cold)
+    memory = recorded_network(setup.neighbours[NODE], messages, cold)
     links = ZenohEndpoints("peer", (), ())
     peers = setup.neighbours[NODE]
     membership = Membership("memory", links, build_node(setup, NODE), peers, "")
@@ -128,9 +128,9 @@ def _node(setup: Setup, messages: Messages, cold: bool) -> float:
     return memory.spent_s / STEPS
 
 
-def _bare(load: Load, messages: Messages, cold: bool) -> float:
+def bare_node_s(load: Load, messages: Messages, cold: bool) -> float:
     """Seconds per step of the bare loop."""
-    memory = _memory(load.neighbours[NODE], _with_own_frames(load, messages), cold)
+    memory = recorded_network(load.neighbours[NODE], _with_own_frames(load, messages), cold)
     pass_on(cast(Transport, memory), load, NODE)
     return memory.spent_s / STEPS
 
@@ -150,9 +150,10 @@ def _with_own_frames(load: Load, messages: Messages) -> Messages:
     return found
 
 
-def _memory(neighbours: Sequence[int], messages: Messages, cold: bool) -> _Memory:
+def recorded_network(neighbours: Sequence[int], messages: Messages, cold: bool) -> RecordedNetwork:
+    """Return what a node hears in a run; a cold one clears the caches before each first message."""
     first_of_round = [f"measured/{NODE}", f"share/{neighbours[0]}"] if cold else []
-    return _Memory(messages, first_of_round, STEPS)
+    return RecordedNetwork(messages, first_of_round, STEPS)
 
 
 if __name__ == "__main__":

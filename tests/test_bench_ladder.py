@@ -18,10 +18,10 @@ def test_every_rung_reads_the_messages_of_a_network(monkeypatch: pytest.MonkeyPa
     messages = in_memory(setup)
     traffic = traffic_of(messages)
     for says in (False, True):
-        assert node_loop._bare(load_of(setup, traffic, says), messages, False) > 0
+        assert node_loop.bare_node_s(load_of(setup, traffic, says), messages, False) > 0
     for rung in (ladder._transitions, ladder._environment, ladder._recorder):
         assert rung(setup, messages) > 0
-    assert node_loop._node(setup, messages, False) > 0
+    assert node_loop.node_s(setup, messages, False) > 0
 
 
 def test_the_rungs_of_a_step_add_up_to_the_network(
