@@ -10,6 +10,8 @@ from concord.experiments.audit.member_history import MemberHistory
 
 # A node that is silent for so long has to be given up: a lease of 2 s, and the time to tell of it.
 _SILENCE_S = 10.0
+# The environment may be so many steps ahead of an estimate, where no controller closes a loop.
+_STEPS_AHEAD = 4
 
 
 class Run(NamedTuple):
@@ -223,7 +225,7 @@ def _told(run: Run) -> Account:
     """Whether all members heard in a step of the changes that happened in it.
 
     A node that joins is welcomed with the state of the network. Of a death all hear on a topic of
-    its own.
+    its own, and by the heartbeats after it.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
@@ -232,7 +234,8 @@ def _told(run: Run) -> Account:
     broken = []
     for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
         joins = any(turn.is_in for turn in run.membership.turns.get(node, ()) if turn.step == step)
-        if not joins and _without_pace(told) != _without_pace(happened.get(step, [])):
+        told = [change for change in told if change["what"] != "gone"]
+        if not joins and told != _without_pace(happened.get(step, [])):
             broken.append(f"step {step}: node {node}")
     return _account(len(run.evidence.heartbeats), broken)
 
@@ -240,6 +243,29 @@ def _told(run: Run) -> Account:
 def _without_pace(changes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return changes of the network; how fast it goes concerns the environment alone."""
     return [change for change in changes if change["what"] != "pace"]
+
+
+def _agreed(run: Run) -> Account:
+    """Whether no member takes another for out that takes part.
+
+    A node may hear of an end in an earlier step than the first that lacks an estimate. In real time
+    messages are lost: shorter mistakes are counted.
+    """
+    said, checked = run.evidence, 0
+    mistakes: dict[tuple[int, int], list[int]] = {}
+    for (step, node), (estimate, *_) in sorted(said.estimates.items()):
+        checked += 1
+        for other in estimate.absent:
+            steps = range(step, step + _STEPS_AHEAD + 1)
+            if all(run.membership.is_in(other, one) for one in steps):
+                mistakes.setdefault((node, other), []).append(step)
+    broken = [
+        f"step {steps[0]}: node {node} takes node {other} for out, in {len(steps)} steps"
+        for (node, other), steps in mistakes.items()
+        if not said.in_real_time or len(steps) * run.time_step_s > _SILENCE_S
+    ]
+    short = len(mistakes) - len(broken)
+    return _account(checked, broken, f"{short} short mistakes" if short else "")
 
 
 def _turns(run: Run) -> Account:
@@ -300,6 +326,7 @@ PROMISES = (
     RunPromise("each share that a node holds was sent", _ages),
     RunPromise("counters never fall within a life", _counters),
     RunPromise("all members hear of the same changes", _told),
+    RunPromise("no member takes another member for out", _agreed),
     RunPromise("members leave, and absent nodes join", _turns),
     RunPromise("a node that joins begins with a node's estimate", _joins),
 )

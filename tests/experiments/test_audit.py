@@ -144,6 +144,9 @@ DAMAGE: dict[str, Callable[[], Messages]] = {
     "all members hear of the same changes": lambda: edited(
         place("measured/1", step=3), _change_heard
     ),
+    "no member takes another member for out": lambda: edited(
+        place("estimate/1", step=4), lambda message: message.update(absent=[0, 2])
+    ),
     "members leave, and absent nodes join": lambda: _twice(place("event", step=3)),
     "a node that joins begins with a node's estimate": lambda: edited(
         place("event", step=6), _other_belief
