@@ -73,7 +73,7 @@ def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Jo
     return Joined(node) if believes_nothing or len(absent) == config.nodes else None
 
 
-class FalseAbsences:
+class MistakenNodes:
     """Finds members that a node takes for out, and remembers which heartbeats correct it.
 
     Nodes hear of each end from the environment, so the environment knows it first.

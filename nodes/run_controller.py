@@ -83,7 +83,7 @@ class RunController:
         self.config, self._timed = config, timed
         self.state: EnvironmentState = environment.begin(config)
         self._script = sorted(script, key=lambda one: one.step)
-        self._stage, self._absences = stage, environment_changes.FalseAbsences()
+        self._stage, self._mistaken = stage, environment_changes.MistakenNodes()
         self._pending: list[ChangeCommand] = []
         self._ready, self._awaited = set[int](), set[int]()
         self._pause_at: int | None = None
@@ -124,7 +124,7 @@ class RunController:
         was_idle = self.state.idle
         self.state, messages = environment.step(self.config, self.state, event)
         if isinstance(event, Estimate) and event.absent:
-            messages += self._apply(self._absences.found(self.config, self.state, event))
+            messages += self._apply(self._mistaken.found(self.config, self.state, event))
         if self._stands_still or (self.state.idle and not was_idle):
             messages += self._settle()
         return messages
