@@ -18,6 +18,7 @@ Group = Annotated[int, Meta(ge=0, lt=1 << 16)]
 # More rounds than this no step of a running network has.
 MAX_ROUNDS = 100
 NodeList = Annotated[list[NodeIndex], Meta(max_length=1 << 16)]
+NodeTuple = Annotated[tuple[NodeIndex, ...], Meta(max_length=1 << 16)]
 
 
 def node_of(name: str, nodes: int) -> int | None:

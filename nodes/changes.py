@@ -21,10 +21,15 @@ class Left(msgspec.Struct, frozen=True, tag="left", tag_field="what"):
     node: NodeIndex
 
 
-class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
-    """A node's process has died or hangs: every process stops waiting for it at once."""
+class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what", omit_defaults=True):
+    """A node's process has died or hangs: every process stops waiting for it at once.
+
+    The next heartbeat says since which `step` the node is out, so that all nodes apply the end in
+    the same step.
+    """
 
     node: NodeIndex
+    step: Instant | None = None
 
 
 class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what", omit_defaults=True):
@@ -40,6 +45,16 @@ class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what", omit_d
     cov: list[float | None] | None = None
     step: int | None = None
     control: list[float] | None = None
+
+
+class Present(msgspec.Struct, frozen=True, tag="present", tag_field="what"):
+    """A node takes part, although the node `mistaken` took it for out.
+
+    The environment had not said so: a message was forged, or lost.
+    """
+
+    node: NodeIndex
+    mistaken: NodeIndex
 
 
 class Cut(msgspec.Struct, frozen=True, tag="cut", tag_field="what"):
@@ -100,7 +115,7 @@ class PaceChange(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
     steps_per_second: float
 
 
-Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | PaceChange
+Change = Left | Gone | Joined | Present | Cut | Healed | Loss | Fault | Calm | Set | PaceChange
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -162,9 +177,11 @@ class Welcome(msgspec.Struct, frozen=True):
 def after(standing: Standing, step: int, change: Change) -> Standing:
     """Return the state of the network from `step` on, when a change takes effect there."""
     match change:
+        case Gone(node, int(first_step)):
+            return standing.joined(node).left(node, first_step)
         case Left(node) | Gone(node):
             return standing.left(node, step)
-        case Joined(node):
+        case Joined(node) | Present(node):
             return standing.joined(node)
         case Cut(sender, receiver):
             return replace(standing, cuts=tuple(sorted({*standing.cuts, (sender, receiver)})))

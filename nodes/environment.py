@@ -196,7 +196,8 @@ def _drop_node(
         step += 1
     outbox += [gone, Event(step, gone)]
     state = state._replace(standing=after(state.standing, step, gone))
-    state = state._replace(announced=without_return(state.announced, gone.node))
+    told = (*without_return(state.announced, gone.node), Gone(gone.node, step))
+    state = state._replace(announced=told)
     return _complete(config, _grant(config, state, outbox), outbox)
 
 

@@ -3,10 +3,13 @@
 from collections.abc import Sequence
 
 from concord.bus.arbitration import begin_arbitration
-from concord.nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
+from concord.nodes.changes import Change, Event, Joined, Present, Set, Settings, Welcome, after
 from concord.nodes.environment import skip_quiet_cycles
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.messages import EnvironmentMessage, Estimate
+
+# A heartbeat that is late in real time tells of a return so many steps later at most.
+_LATE_STEPS = 8
 
 
 def apply(
@@ -68,6 +71,33 @@ def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Jo
         return _joined(state, node, newest)
     believes_nothing = there and len(latest) == len(there)
     return Joined(node) if believes_nothing or len(absent) == config.nodes else None
+
+
+class MistakenNodes:
+    """Finds members that a node takes for out, and remembers which heartbeats correct it.
+
+    Nodes hear of each end from the environment, so the environment knows it first.
+    """
+
+    def __init__(self) -> None:
+        # The first step whose heartbeat told a node (the second) that another (the first) is in.
+        self._told: dict[tuple[int, int], int] = {}
+
+    def found(
+        self, config: EnvironmentConfig, state: EnvironmentState, estimate: Estimate
+    ) -> list[Present]:
+        """Return the members that the sender of an estimate takes for out, and was not told of."""
+        absent, known, sender = state.standing.absent, range(config.nodes), estimate.node
+        if sender in absent or state.released == config.steps:
+            return []
+        false = [
+            node
+            for node in sorted({*estimate.absent}.intersection(known).difference(absent))
+            if state.since.get(node, -_LATE_STEPS) + _LATE_STEPS <= estimate.step
+            and self._told.get((node, sender), 0) <= estimate.step
+        ]
+        self._told |= {(node, sender): state.released for node in false}
+        return [Present(node, sender) for node in false]
 
 
 def _newest(state: EnvironmentState, node: int) -> Estimate | None:

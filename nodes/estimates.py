@@ -31,6 +31,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         state.counters,
         *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
         suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
+        absent=tuple(sorted(state.absent)),
     )
 
 

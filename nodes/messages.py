@@ -21,6 +21,7 @@ from concord.nodes.bounds import (
     Instant,
     NodeIndex,
     NodeList,
+    NodeTuple,
     node_of,
 )
 from concord.nodes.changes import Change, Event, Gone, Set, Welcome
@@ -100,7 +101,8 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
     `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
     ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
-    its belief. `age_s`: in real time, seconds since the sampling instant of the step.
+    its belief. `age_s`: in real time, seconds since the sampling instant of the step. `absent`:
+    the nodes that it takes for out.
     """
 
     node: NodeIndex
@@ -114,6 +116,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     smoothed_std: list[list[float | None]] | None = None
     suspect: bool = False
     age_s: float | None = None
+    absent: NodeTuple = ()
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes import node as state_machine
-from concord.nodes.changes import Joined, Set, Standing, Welcome, after
+from concord.nodes.changes import Joined, Present, Set, Standing, Welcome, after
 from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import NodeMessage, from_wire
@@ -24,10 +24,7 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     assert state.phase is Phase.CHANGE, "changes come with the heartbeat of their first step"
     step = state.step + 1
     measured = state.inbox.measured[step]
-    # Neighbours whose ends were told meanwhile are out too.
     standing = config.standing
-    for neighbour in sorted(state.absent):
-        standing = standing.left(neighbour, step)
     for change in measured.changes:
         standing = after(standing, step, change)
     unchanged = {**state.inbox.measured, step: replace(measured, changes=())}
@@ -42,10 +39,15 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
         else:
             state = replace(state, cycle=config.first_cycle, content=config.estimator.start())
     config = _with_standing(config, standing)
+    joined = {change.node for change in measured.changes if isinstance(change, Joined)}
+    told = [change for change in measured.changes if isinstance(change, Present)]
+    present = {change.node for change in told if change.mistaken == config.index}
+    state = count(state, *["falsely absent" for _ in present & state.absent])
     state = replace(
         state,
         phase=Phase.MEASUREMENT,
-        absent=frozenset(standing.absent),
+        # A node whose end was told since then is out as well; a later heartbeat names it.
+        absent=(state.absent - joined - present) | {*standing.absent},
         inbox=replace(state.inbox, measured=unchanged),
     )
     outbox: list[NodeMessage] = []

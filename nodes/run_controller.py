@@ -45,7 +45,7 @@ from concord.nodes.commands import (
 )
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.faults.vocabulary import FAULTS
-from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage
+from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage, Estimate
 
 
 class Scripted(NamedTuple):
@@ -83,7 +83,7 @@ class RunController:
         self.config, self._timed = config, timed
         self.state: EnvironmentState = environment.begin(config)
         self._script = sorted(script, key=lambda one: one.step)
-        self._stage = stage
+        self._stage, self._mistaken = stage, environment_changes.MistakenNodes()
         self._pending: list[ChangeCommand] = []
         self._ready, self._awaited = set[int](), set[int]()
         self._pause_at: int | None = None
@@ -123,6 +123,8 @@ class RunController:
         """Give the environment a message of a node, or the end of one."""
         was_idle = self.state.idle
         self.state, messages = environment.step(self.config, self.state, event)
+        if isinstance(event, Estimate) and event.absent:
+            messages += self._apply(self._mistaken.found(self.config, self.state, event))
         if self._stands_still or (self.state.idle and not was_idle):
             messages += self._settle()
         return messages

@@ -73,6 +73,10 @@ def changed(
     match change.what:
         case "left" | "gone" | "joined":
             return _membership(network, change, names)
+        case "present":
+            node, mistaken = int(facts["node"]), int(facts["mistaken"])
+            text = f"node {names[mistaken]} took node {names[node]} for out, which takes part"
+            return network, LogEntry(change.step, text, mistaken, True)
         case "cut" | "healed":
             link = (int(facts["sender"]), int(facts["receiver"]))
             is_cut = change.what == "cut"

@@ -26,13 +26,14 @@ _NAMES = ("truth", "mean", "cov", "nees", "published", "ages")
 
 
 class RecordedEstimate(NamedTuple):
-    """A recorded estimate: mean (n,), upper triangle of the covariance, total counters, and its age
-    in real time (None: it does not say)."""
+    """A recorded estimate: mean (n,), upper triangle of the covariance, total counters, its age in
+    real time (None: it does not say), and the nodes that its sender takes for out."""
 
     mean: np.ndarray
     cov: np.ndarray
     counters: dict[str, int]
     age_s: float | None = None
+    absent: tuple[int, ...] = ()
 
 
 class Evidence(NamedTuple):
@@ -120,6 +121,7 @@ def _take(found: Evidence, topic: str, kind: str, message: dict[str, Any]) -> No
                 floats(message["cov"]),
                 message["counters"],
                 message.get("age_s"),
+                tuple(message.get("absent", ())),
             )
             found.estimates.setdefault(place, []).append(said)
         case "event":

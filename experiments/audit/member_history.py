@@ -31,6 +31,15 @@ class MemberHistory(NamedTuple):
         last = bisect_right([turn.step for turn in turns], step) - 1
         return last < 0 or turns[last].is_in
 
+    def joins_at(self, node: int, step: int) -> bool:
+        """Whether a node is back from this step on, for however long."""
+        return any(turn.is_in and turn.step == step for turn in self.turns.get(node, ()))
+
+    def dies_in(self, node: int, step: int) -> bool:
+        """Whether a node took part in a step from which it is out."""
+        began = self.joins_at(node, step) or (step > 0 and self.is_in(node, step - 1))
+        return began and not self.is_in(node, step)
+
     def left_at(self, node: int, step: int) -> int | None:
         """Return the first step after `step` from which a node is out; None for never."""
         out = (turn.step for turn in self.turns.get(node, []) if not turn.is_in)
@@ -60,8 +69,10 @@ def member_history_of(rounds: int, events: Sequence[tuple[int, dict[str, Any]]])
             rounds = int(change["settings"].get("rounds", epochs[-1][2]))
             epochs.append((step, change["first_cycle"], rounds))
         elif change["what"] in (*_OUT, "joined"):
-            turn = Turn(step, change["node"], change["what"] == "joined")
-            before = turns.setdefault(turn.node, [])
+            before = turns.setdefault(change["node"], [])
+            # In real time a node may be given up from a step that is over, before its last return.
+            first = max([step, *(turn.step for turn in before[-1:])])
+            turn = Turn(first, change["node"], change["what"] == "joined")
             if (before[-1].is_in if before else True) == turn.is_in:
                 repeated.append(turn)
             before.append(turn)

@@ -10,6 +10,8 @@ from concord.experiments.audit.member_history import MemberHistory
 
 # A node that is silent for so long has to be given up: a lease of 2 s, and the time to tell of it.
 _SILENCE_S = 10.0
+# The environment may be so many steps ahead of an estimate, where no controller closes a loop.
+_STEPS_AHEAD = 4
 
 
 class Run(NamedTuple):
@@ -84,6 +86,16 @@ def _died_then(run: Run, step: int, node: int) -> bool:
     )
 
 
+def _is_lost(run: Run, step: int, sender: int) -> bool:
+    """Whether a share that was sent in a step may have ended with its process.
+
+    In real time the network says late that a node is out, from a step that is over.
+    """
+    member = run.membership
+    is_over = run.evidence.in_real_time and not member.is_in(sender, step)
+    return is_over or member.dies_in(sender, step) or _died_then(run, step, sender)
+
+
 def _silences(run: Run, wanted: int, missing: list[tuple[int, int]]) -> Account:
     """In real time a late estimate is lost; a node may not stay silent as a member."""
     longest, length = {}, dict.fromkeys(range(run.nodes), 0)
@@ -116,8 +128,8 @@ def _estimate_ages(run: Run) -> Account:
 def _strangers(run: Run) -> Account:
     """Whether a node that is out says nothing.
 
-    A process may die amid the step from which its node is out. In real time a node speaks on until
-    it hears that it is out; these words are counted.
+    A process may die amid the step from which its node is out, or in which it joins. In real time
+    a node speaks on until it hears that it is out; these words are counted.
     """
     said, member = run.evidence, run.membership
     words = [
@@ -127,8 +139,7 @@ def _strangers(run: Run) -> Account:
     ]
     for cycle, node in sorted(said.frames):
         step = member.step_of(cycle)
-        dies_in_it = not member.is_in(node, step) and step > 0 and member.is_in(node, step - 1)
-        if not member.is_in(node, step) and not dies_in_it:
+        if not (member.is_in(node, step) or member.dies_in(node, step)):
             words.append(f"cycle {cycle}: frame of node {node}")
     checked = len(said.estimates) + len(said.frames)
     if said.in_real_time:
@@ -196,7 +207,7 @@ def _ages(run: Run) -> Account:
         cycle = run.membership.cycles_of(step)[-1] - int(ages[step, node, sender])
         if (cycle, sender) in run.evidence.frames:
             continue
-        if cycle >= 0 and _died_then(run, run.membership.step_of(cycle), sender):
+        if cycle >= 0 and _is_lost(run, run.membership.step_of(cycle), sender):
             lost += 1
             continue
         broken.append(f"step {step}: node {node} holds a share of node {sender}, cycle {cycle}")
@@ -223,23 +234,55 @@ def _told(run: Run) -> Account:
     """Whether all members heard in a step of the changes that happened in it.
 
     A node that joins is welcomed with the state of the network. Of a death all hear on a topic of
-    its own.
+    its own, and by the heartbeats after it. Of a node that dies in the step of its return they need
+    not hear that it is back.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
-        if change["what"] != "gone":
-            happened.setdefault(step, []).append(change)
+        happened.setdefault(step, []).append(change)
     broken = []
     for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
-        joins = any(turn.is_in for turn in run.membership.turns.get(node, ()) if turn.step == step)
-        if not joins and _without_pace(told) != _without_pace(happened.get(step, [])):
+        joins = run.membership.joins_at(node, step)
+        heard, real = (_lasting(run, step, all_of) for all_of in (told, happened.get(step, [])))
+        if not joins and heard != real:
             broken.append(f"step {step}: node {node}")
     return _account(len(run.evidence.heartbeats), broken)
 
 
-def _without_pace(changes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return changes of the network; how fast it goes concerns the environment alone."""
-    return [change for change in changes if change["what"] != "pace"]
+def _lasting(run: Run, step: int, changes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the changes of a step without deaths, and returns that end in it.
+
+    How fast the network goes concerns the environment alone.
+    """
+    return [
+        change
+        for change in changes
+        if change["what"] not in ("pace", "gone")
+        and not (change["what"] == "joined" and not run.membership.is_in(change["node"], step))
+    ]
+
+
+def _agreed(run: Run) -> Account:
+    """Whether no member takes another for out that takes part.
+
+    A node may hear of an end in an earlier step than the first that lacks an estimate. In real time
+    messages are lost: shorter mistakes are counted.
+    """
+    said, checked = run.evidence, 0
+    mistakes: dict[tuple[int, int], list[int]] = {}
+    for (step, node), (estimate, *_) in sorted(said.estimates.items()):
+        checked += 1
+        for other in estimate.absent:
+            steps = range(step, step + _STEPS_AHEAD + 1)
+            if all(run.membership.is_in(other, one) for one in steps):
+                mistakes.setdefault((node, other), []).append(step)
+    broken = [
+        f"step {steps[0]}: node {node} takes node {other} for out, in {len(steps)} steps"
+        for (node, other), steps in mistakes.items()
+        if not said.in_real_time or len(steps) * run.time_step_s > _SILENCE_S
+    ]
+    short = len(mistakes) - len(broken)
+    return _account(checked, broken, f"{short} short mistakes" if short else "")
 
 
 def _turns(run: Run) -> Account:
@@ -300,6 +343,7 @@ PROMISES = (
     RunPromise("each share that a node holds was sent", _ages),
     RunPromise("counters never fall within a life", _counters),
     RunPromise("all members hear of the same changes", _told),
+    RunPromise("no member takes another member for out", _agreed),
     RunPromise("members leave, and absent nodes join", _turns),
     RunPromise("a node that joins begins with a node's estimate", _joins),
 )

@@ -19,6 +19,7 @@ from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
+from concord.experiments.simulation_testing.coverage import State, covering, states_of
 from concord.experiments.simulation_testing.draw import draw_case
 from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, run_lives
@@ -47,6 +48,9 @@ class SimulationTestingOptions:
 
     seeds: str = "1..100"
     """Seeds of the cases: 17, or 1..1000."""
+    most: int | None = None
+    """Run only so many of the seeds: those whose cases together have the most pairs of faults at
+    once in each phase of a node. All when left out."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     wire: str | None = None
@@ -67,18 +71,40 @@ def simulation_testing(
         fields = fixed_fields({**said_in(fixed), **wire})
         # Options that no case can meet are refused before the first run.
         draw_case(seeds[0], fields)
+        if output.most is not None and output.most < 1:
+            raise ValueError(f"--most {output.most}: must be at least 1")
+    chosen = seeds if output.most is None else _covering(seeds, output.most, fields)
     _of_seeds(
         partial(_run_seed, fields),
-        seeds,
+        chosen,
         output.workers,
-        partial(_show, seeds, fields, output.json),
+        partial(_show, chosen, fields, output.json),
         output.json,
     )
 
 
+def _covering(seeds: range, most: int, fields: dict[str, Any]) -> list[int]:
+    """Return the seeds whose cases together reach the most states, and say how many."""
+    with progress("cases drawn", len(seeds)) as on_seeds:
+        found: dict[int, frozenset[State]] = {}
+        for seed in seeds:
+            found[seed] = states_of(draw_case(seed, fields))
+            on_seeds(len(found))
+    chosen = covering(seeds, most, found.__getitem__)
+    reached, all_of, first = (
+        len(frozenset[State]().union(*(found[seed] for seed in several)))
+        for several in (chosen, seeds, seeds[:most])
+    )
+    sys.stderr.write(
+        f"{len(chosen)} of {len(seeds)} seeds reach {reached} of {all_of} states; the first "
+        f"{len(chosen)} reach {first}\n"
+    )
+    return chosen
+
+
 def _of_seeds(
     run: Callable[[int], Found],
-    seeds: range,
+    seeds: Sequence[int],
     workers: int | None,
     show: Callable[[Sequence[Found], float], None],
     as_json: bool,
@@ -115,7 +141,7 @@ def _run_seed(fields: dict[str, Any], seed: int) -> SimulationOutcome:
 
 
 def _show(
-    seeds: range,
+    seeds: Sequence[int],
     fields: dict[str, Any],
     json: bool,
     outcomes: Sequence[SimulationOutcome],

@@ -116,15 +116,16 @@ def _owns_every_slot(scenario: Scenario, script: tuple[Scripted, ...]) -> bool:
     """Return whether no node ever contends for a slot: a guardian then knows each sender."""
     setup = prepare(scenario)
     settings: Settings = {}
-    found = [_contends(setup, settings)]
+    found = [contends(setup, settings)]
     for _, command in script:
         if isinstance(command, Configure):
             settings = complete_settings(setup, settings, command.settings)
-            found.append(_contends(setup, settings))
+            found.append(contends(setup, settings))
     return not any(found)
 
 
-def _contends(setup: Setup, settings: Settings) -> bool:
+def contends(setup: Setup, settings: Settings) -> bool:
+    """Return whether a node ever contends for a slot, with these settings."""
     changed = with_settings(setup, settings)
     return any(build_schedule(changed.scenario, changed.neighbours).dynamic_slot_table)
 
@@ -156,7 +157,7 @@ class _Author:
         if harmless:
             rates.pop("guardian", None)
             self._say(1, "guardian 1")
-            if _contends(self._setup, self._settings):
+            if contends(self._setup, self._settings):
                 # No guardian knows the owner of a slot that nodes contend for.
                 rates.pop("babble", None)
             if not _is_redundant(self._setup.scenario):

@@ -52,8 +52,9 @@ def shrink(case: SimulationCase, breaks: Callable[[SimulationCase], bool]) -> Si
     progress = True
     while progress:
         progress = False
-        for smaller in _smaller(case):
-            if smaller == case or not _is_possible(smaller):
+        for fields in _smaller(case):
+            smaller = _with(case, fields)
+            if smaller is None or smaller == case:
                 continue
             if tries == MOST_TRIES:
                 return case
@@ -64,18 +65,18 @@ def shrink(case: SimulationCase, breaks: Callable[[SimulationCase], bool]) -> Si
     return case
 
 
-def _smaller(case: SimulationCase) -> Iterator[SimulationCase]:
-    """Cases with less in them, those with much less first."""
+def _smaller(case: SimulationCase) -> Iterator[dict[str, Any]]:
+    """Fields of cases with less in them, those with much less first."""
     scenario = case.scenario
     # Steps come first: whatever is tried after them takes no longer than they do.
     for steps in _between(1, scenario.steps):
-        yield _shorter(case, steps)
+        changes = tuple(line for line in scenario.changes if int(line.split()[0]) < steps)
+        yield {"steps": steps, "changes": changes}
     for nodes in _between(FEWEST_NODES, scenario.nodes):
-        yield _with(case, "nodes", nodes)
-    yield from (_with(case, "changes", kept) for kept in _fewer(scenario.changes))
-    yield from (_with(case, "wire", kept) for kept in _fewer(case.wire))
-    for fields in _PLAIN:
-        yield with_fields(case, fields)
+        yield {"nodes": nodes}
+    yield from ({"changes": kept} for kept in _fewer(scenario.changes))
+    yield from ({"wire": kept} for kept in _fewer(case.wire))
+    yield from _PLAIN
 
 
 def _fewer(values: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
@@ -95,22 +96,15 @@ def _between(least: int, value: int) -> Iterator[int]:
         gap //= 2
 
 
-def _shorter(case: SimulationCase, steps: int) -> SimulationCase:
-    changes = tuple(line for line in case.scenario.changes if int(line.split()[0]) < steps)
-    return with_fields(case, {"steps": steps, "changes": changes})
-
-
-def _with(case: SimulationCase, field: str, value: Any) -> SimulationCase:
-    return with_fields(case, {field: value})
-
-
-def _is_possible(case: SimulationCase) -> bool:
+def _with(case: SimulationCase, fields: dict[str, Any]) -> SimulationCase | None:
+    """Return the case with other fields; None where they go with no case."""
     try:
-        prepare(case.scenario)
-        check_case(case)
+        changed = with_fields(case, fields)
+        prepare(changed.scenario)
+        check_case(changed)
     except ValueError:
-        return False
-    return True
+        return None
+    return changed
 
 
 def replay_command(case: SimulationCase) -> str:

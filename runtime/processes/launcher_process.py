@@ -33,7 +33,7 @@ from concord.runtime.network.links import (
     ports_from,
     subscribers_endpoints,
 )
-from concord.runtime.network.sockets import in_folder
+from concord.runtime.network.sockets import hold, in_folder
 from concord.runtime.processes.job import Happened, HostPlace, Job, NodeEnded, Order
 from concord.runtime.processes.roles import be_environment, be_node, be_recorder, be_router
 from concord.runtime.processes.supervisor import (
@@ -65,6 +65,9 @@ def main() -> None:
         # The launcher is gone before it said what to do.
         return
     job = msgspec.json.decode(line, type=Job)
+    if job.sockets is not None:
+        # The children inherit the lock.
+        hold(job.sockets)
     try:
         for plan in _plans(job):
             if _serve(job, plan) is not End.TRY_AGAIN:

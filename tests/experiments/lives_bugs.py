@@ -34,6 +34,11 @@ LIVES_BUGS = (
         "concord.nodes.changes", "since_return",
         (("changes[returns[-1] + 1 :]", "()"),),
     ),
+    Bug(
+        "a forged end of a node is believed for ever",
+        "concord.nodes.run_controller", "RunController.take",
+        (("isinstance(event, Estimate) and event.absent", "False"),),
+    ),
 )  # fmt: skip
 
 

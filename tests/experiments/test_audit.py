@@ -144,6 +144,9 @@ DAMAGE: dict[str, Callable[[], Messages]] = {
     "all members hear of the same changes": lambda: edited(
         place("measured/1", step=3), _change_heard
     ),
+    "no member takes another member for out": lambda: edited(
+        place("estimate/1", step=4), lambda message: message.update(absent=[0, 2])
+    ),
     "members leave, and absent nodes join": lambda: _twice(place("event", step=3)),
     "a node that joins begins with a node's estimate": lambda: edited(
         place("event", step=6), _other_belief
@@ -194,6 +197,45 @@ def test_cycles_are_counted_through_a_change_of_rounds():
     assert [found.step_of(cycle) for cycle in (0, 2, 3, 11, 12, 16, 17)] == [0, 0, 1, 3, 4, 4, 5]
     assert found.cycles_of(3) == range(9, 12)
     assert found.cycles_of(5) == range(17, 22)
+
+
+def test_a_node_that_dies_in_the_step_of_its_return_took_part_in_it():
+    """It may have sent, the recorder may have lost that, and others need not hear that it was back;
+    in real time its end is dated before its return."""
+    told = [
+        (3, {"what": "gone", "node": 1}),
+        (6, {"what": "joined", "node": 1}),
+        (4, {"what": "gone", "node": 1}),
+    ]
+    found = member_history_of(2, told)
+    steps = range(9)
+    assert [found.is_in(1, step) for step in steps] == [True] * 3 + [False] * 6
+    assert [step for step in steps if found.dies_in(1, step)] == [3, 6]
+    assert [step for step in steps if found.joins_at(1, step)] == [6]
+    assert not found.repeated
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_a_return_that_ends_in_its_step_may_be_told_or_not(tmp_path: Path, is_told: bool):
+    """The step of the return of node 2, from which it is out again; others heard of it, or not."""
+    step = 6
+    joined = MESSAGES[place("event", step=step)]
+    gone = {"what": "gone", "node": 2}
+    recorded: Messages = []
+    for topic, data in MESSAGES:
+        message = {} if topic.startswith("share") else json.loads(data)
+        late = message.get("step", -1) >= step
+        if topic in ("estimate/2", "measured/2") and late:
+            continue
+        if topic.startswith("measured/") and message["step"] == step and not is_told:
+            message["changes"] = []
+        recorded.append(
+            (topic, data if topic.startswith("share") else json.dumps(message).encode())
+        )
+        if (topic, data) == joined:
+            end = {"step": step, "change": gone}
+            recorded += [("gone", json.dumps(gone).encode()), ("event", json.dumps(end).encode())]
+    assert "all members hear of the same changes" not in broken(write(tmp_path, recorded, recorded))
 
 
 @pytest.mark.parametrize(

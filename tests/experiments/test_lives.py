@@ -24,7 +24,7 @@ def test_cases_have_all_that_is_drawn():
     cases = [draw_lives(seed) for seed in range(1, 41)]
     assert {case.tempo is None for case in cases} == {False, True}
     names = {incident.name for case in cases for incident in case.incidents}
-    assert names == {"kill", "restart", "stop", "stop environment"}
+    assert names == {"kill", "restart", "stop", "stop environment", "forge"}
     words = {line.split()[1] for case in cases for line in case.changes}
     assert words == {"kill", "restart", "slow-cpu"}
     assert {boot.dies for case in cases for boot in case.boots} == {False, True}

@@ -205,6 +205,14 @@ def test_shrinking_keeps_what_matters():
     assert "2 kill 1" in shlex.split(run_command(small))
 
 
+def test_shrinking_passes_over_values_that_a_rule_does_not_know():
+    """A rule of sets has no hold policy of that name."""
+    case = draw_case(700134, {})
+    assert case.scenario.rule.name == "ellipsoid"
+    small = shrink(case, lambda tried: tried.scenario.rule.name == "ellipsoid")
+    assert (small.scenario.steps, small.wire, small.scenario.changes) == (1, (), ())
+
+
 @pytest.mark.parametrize("kind", WIRE_FAULTS)
 def test_the_wire_strikes_as_often_as_it_should_until_calm(kind: str):
     if kind == "shuffle":  # happens to messages that wait, and not on a link

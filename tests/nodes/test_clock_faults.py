@@ -163,12 +163,17 @@ def test_turns_of_nodes_have_no_key_slots():
 
 
 def test_a_neighbour_whose_process_ends_takes_its_sync_frames(two_sync_nodes: str):
-    """The node learns of that between the steps, and of a change of the network with the next."""
+    """All nodes apply the end in the step whose heartbeat tells of it, whenever it came."""
     setup = ring(nodes=3, cluster=two_sync_nodes)
     config = build_node(setup, 2)
-    state, _ = step(config, initial_state(config), Gone(0))
-    state, _ = step(config, state, Measured(2, 0, [[None]], None, (Loss(0.5),)))
-    assert state.phase is Phase.CHANGE
-    config, _, _ = apply(config, state)
-    assert config.standing.out_since == ((0, 0),)
+    heard, _ = step(config, initial_state(config), Gone(0))
+    found = []
+    for state in (heard, initial_state(config)):
+        for changes in ((Loss(0.5),), (Loss(0.5), Gone(0, 0))):
+            changed, _ = step(config, state, Measured(2, 0, [[None]], None, changes))
+            assert changed.phase is Phase.CHANGE
+            after, changed, _ = apply(config, changed)
+            found.append((after.standing.out_since, sorted(changed.absent)))
+    assert found == [((), [0]), (((0, 0),), [0]), ((), []), (((0, 0),), [0])]
+    config = after
     assert [outage.node for outage in config.faults.outages] == [0]

@@ -212,7 +212,7 @@ def test_who_is_gone_again_before_its_first_step_is_not_told_to_have_returned():
     state, messages = environment.step(config, state, Allowed(config.steps))
     heartbeats = [message for message in messages if isinstance(message, Measured)]
     assert [message.node for message in heartbeats] == [0, 2]
-    assert not any(message.changes for message in heartbeats)
+    assert [message.changes for message in heartbeats] == [(Gone(1, 0), Gone(1, 1))] * 2
     for node in (0, 2):
         state, _ = environment.step(config, state, estimate(node, 1))
     assert state.completed == 2

@@ -39,6 +39,18 @@ try:
 except NotThere:
     print("no network")
 """
+# A launcher makes a folder; a launcher process holds the one that is named.
+HOLD = """
+import sys, time
+from concord.runtime.network.sockets import hold, socket_folder
+if sys.argv[1]:
+    hold(sys.argv[1])
+    print("held", flush=True)
+    time.sleep(600)
+with socket_folder() as folder:
+    print(folder, flush=True)
+    time.sleep(600)
+"""
 
 
 class Asked(Exception):
@@ -62,6 +74,34 @@ def test_the_folder_is_private_and_goes():
         with socket_folder() as other:
             assert other != folder
     assert not Path(folder).exists()
+
+
+def test_the_next_network_removes_what_killed_ones_have_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Folders that a process holds stay, and so do those of other programs."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    foreign = tmp_path / "concord-abcdefgh"
+    foreign.mkdir(0o700)
+    command = [sys.executable, "-c", HOLD]
+    launcher = subprocess.Popen([*command, ""], stdout=subprocess.PIPE, text=True)
+    assert launcher.stdout is not None
+    left = Path(launcher.stdout.readline().strip())
+    process = subprocess.Popen([*command, str(left)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline()
+    launcher.kill()
+    launcher.wait()
+    with socket_folder() as other:
+        assert left.is_dir() and Path(other).parent == left.parent == tmp_path
+    process.kill()
+    process.wait()
+    assert left.is_dir()
+    with socket_folder() as other:
+        assert not left.exists() and Path(other).is_dir()
+    assert list(tmp_path.iterdir()) == [foreign]
+    for one in (launcher, process):
+        assert one.stdout is not None
+        one.stdout.close()
 
 
 @pytest.mark.parametrize("name", ["long" * 30, "with # and ;"])

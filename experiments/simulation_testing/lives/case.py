@@ -15,16 +15,21 @@ _STEPS = 52
 _CALM_PART = 0.6
 _STEP_S, _CYCLE_S = 0.25, 0.05
 _RUN_S = _STEPS * _STEP_S
-IncidentName = Literal["kill", "restart", "stop", "stop environment"]
+_FORGED_PART = 0.3
+IncidentName = Literal["kill", "restart", "stop", "stop environment", "forge"]
 
 
 class Incident(msgspec.Struct, frozen=True):
-    """A signal to a process, or a command: SIGKILL, `restart`, or SIGSTOP for so long."""
+    """A signal to a process, or a command: SIGKILL, `restart`, or SIGSTOP for so long.
+
+    A forged message tells `node` that the node `other` is gone.
+    """
 
     at_s: float
     name: IncidentName
     node: int = 0
     seconds: float = 0.0
+    other: int = 0
 
 
 class Boot(msgspec.Struct, frozen=True):
@@ -76,7 +81,9 @@ def draw_lives(seed: int) -> LivesCase:
         str(generator.choice(["ring", "complete", "path"])),
         _script(generator, nodes, is_timed),
         Tempo(1.0, _CYCLE_S, _STEP_S) if is_timed else None,
-        _incidents(generator, nodes),
+        tuple(
+            sorted([*_incidents(generator, nodes), *_forged(seed, nodes)], key=lambda one: one.at_s)
+        ),
         tuple(boots),
     )
 
@@ -111,4 +118,14 @@ def _incidents(generator: np.random.Generator, nodes: int) -> tuple[Incident, ..
     if generator.random() < 0.2:
         at_s, seconds = float(generator.uniform(0.3, last_s)), float(generator.uniform(0.2, 4.0))
         found.append(Incident(at_s, "stop environment", 0, seconds))
-    return tuple(sorted(found, key=lambda one: one.at_s))
+    return tuple(found)
+
+
+def _forged(seed: int, nodes: int) -> tuple[Incident, ...]:
+    # A stream of its own leaves the other draws of a seed as they were.
+    generator = np.random.default_rng([seed, 28])
+    if generator.random() >= _FORGED_PART:
+        return ()
+    at_s = float(generator.uniform(0.3, _RUN_S * (1 - _CALM_PART)))
+    node, other = generator.integers(nodes, size=2).tolist()
+    return (Incident(at_s, "forge", node, other=other),)

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from concord.experiments.simulation_testing.lives.processes import (
     RealTimeProcess,
 )
 from concord.experiments.simulation_testing.lives.promises import Watch
+from concord.experiments.simulation_testing.lives.repetition import Repetition
 from concord.experiments.simulation_testing.lives.virtual_clock import VirtualClock
 from concord.nodes.changes import Event, Gone, Left, Welcome
 from concord.nodes.commands import Restart, Speed
@@ -64,11 +66,11 @@ class LivesNetwork:
         self.clock = VirtualClock()
         self._generator = np.random.default_rng([case.seed, 27])
         config = build_environment(self.setup)
-        pacing = Lockstep() if case.tempo is None else RealTime(case.tempo)
+        self._pacing = Lockstep() if case.tempo is None else RealTime(case.tempo)
         self.decisions = EnvironmentDecisions(
             config,
             _DIGEST,
-            pacing,
+            self._pacing,
             script_of(self.setup.scenario),
             partial(complete_settings, self.setup),
             keeps_nodes=True,
@@ -81,10 +83,10 @@ class LivesNetwork:
         self.launcher = Launcher(
             self.clock, case.nodes, case.boots, self._process, self._between, self._notify
         )
-        self._notices: deque[Notice] = deque()
-        self._messages: deque[Estimate] = deque()
+        self._notices, self._messages = deque[Notice](), deque[Estimate]()
         self._arrived_s: dict[tuple[int, int], float] = {}
         self._stopped = False
+        self._repetition = Repetition(self.clock, self._repeat)
 
     # --- the run ----------------------------------------------------------------------------------
 
@@ -107,6 +109,7 @@ class LivesNetwork:
         controller, tempo = self.decisions.controller, self.case.tempo
         if tempo is None:
             self._act(self.decisions.done(controller.begin()))
+            self._repetition.begin()
             return
         self._act(self.decisions.done(controller.command(Speed(1 / tempo.step_s))))
         for after_s, word in timetable(tempo, controller.config):
@@ -163,7 +166,14 @@ class LivesNetwork:
                 case Measured() | Welcome() | Grant() | Gone() | Event():
                     self._send(action)
 
+    def _repeat(self) -> None:
+        absent = self.decisions.controller.state.standing.absent
+        for name, data in () if self._stopped else self._pacing.repeated(absent):
+            for node in range(self.case.nodes):
+                self._deliver(node, name, data)
+
     def _send(self, message: EnvironmentMessage) -> None:
+        self._repetition.note()
         match message:
             case Measured(node) | Welcome(node):
                 if isinstance(message, Welcome):
@@ -230,17 +240,17 @@ class LivesNetwork:
             case "stop environment":
                 self._stopped = True
                 self.clock.after(incident.seconds, partial(self._resume, incident.seconds))
+            case "forge":
+                self.launcher.newest[incident.node].hear("gone", encode(Gone(incident.other)))
             case _:
                 self.launcher.befall(incident)
 
     def _restart(self, node: int) -> None:
         if self._stopped:
             return
-        try:
+        # A user is told if the node is not out.
+        with suppress(ValueError):
             self._act(self.decisions.command(Restart(node)))
-        except ValueError:
-            # It is not out, as a user is told.
-            return
 
     def _resume(self, seconds: float) -> None:
         """Go on; a process that stood still beyond the lease has lost all links."""

@@ -7,7 +7,7 @@ the environment process carries them out, and so does simulation testing under a
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
-from concord.nodes.changes import Gone, Settings
+from concord.nodes.changes import Event, Gone, Present, Settings
 from concord.nodes.commands import Command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import EnvironmentEvent, EnvironmentMessage, Unreachable
@@ -27,6 +27,10 @@ from concord.runtime.processes.job import NodeEnded
 # An environment process that stood still for longer than its lease finds all nodes gone. Links come
 # back within a second or two, on a busy machine in three times that.
 _RETURN_S = 6.0
+_FALSELY_ABSENT = (
+    "node {} took node {} for out, which takes part: a message was forged or lost; all nodes are "
+    "told that it takes part (docs/security.md)"
+)
 
 
 class StartNode(NamedTuple):
@@ -60,13 +64,19 @@ class AwaitReturn(NamedTuple):
     seconds: float
 
 
+class Tell(NamedTuple):
+    """Say a line to the user."""
+
+    line: str
+
+
 class Refuse(NamedTuple):
     """Count a message that cannot be used, and say why."""
 
     why: str
 
 
-Action = EnvironmentMessage | StartNode | KillNode | TellOut | Remind | AwaitReturn | Refuse
+Action = EnvironmentMessage | StartNode | KillNode | TellOut | Remind | AwaitReturn | Tell | Refuse
 
 
 class EnvironmentDecisions:
@@ -104,7 +114,13 @@ class EnvironmentDecisions:
 
     def take(self, event: EnvironmentEvent) -> list[Action]:
         """Give the environment a message of a node, or the end of a wait."""
-        return self.done(self.controller.take(event))
+        messages = self.controller.take(event)
+        lines = [
+            Tell(_FALSELY_ABSENT.format(change.mistaken, change.node))
+            for message in messages
+            if isinstance(message, Event) and isinstance(change := message.change, Present)
+        ]
+        return [*lines, *self.done(messages)]
 
     def attend(self, notice: Notice) -> list[Action]:
         """Return what a notice asks for."""

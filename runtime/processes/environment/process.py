@@ -1,6 +1,7 @@
 """The environment process: a loop that gives messages and notices to the run controller."""
 
 import math
+import sys
 import threading
 from collections.abc import Sequence
 
@@ -27,6 +28,7 @@ from concord.runtime.processes.environment.decisions import (
     Refuse,
     Remind,
     StartNode,
+    Tell,
     TellOut,
 )
 from concord.runtime.processes.environment.gathering import gather
@@ -85,6 +87,7 @@ class EnvironmentProcess:
     ) -> None:
         self._run, self._nodes, self._fingerprint = run, config.nodes, fingerprint
         self._management, self._pacing = management, pacing
+        self._told_lines = set[str]()
         self._decisions = EnvironmentDecisions(
             config, fingerprint, pacing, script, management.check, management.keeps_nodes
         )
@@ -193,8 +196,16 @@ class EnvironmentProcess:
                     timer.start()
                 case Refuse(why):
                     self.inbox.refuse(why)
+                case Tell(line):
+                    self._say_once(line)
                 case _:
                     self._pacing.send(action, self._lines)
+
+    def _say_once(self, line: str) -> None:
+        # A flood of such lines would hide all others.
+        if line not in self._told_lines:
+            self._told_lines.add(line)
+            sys.stderr.write(f"world: {line}\n")
 
     # --- on zenoh's threads, and on that of the republisher ---------------------------------------
 
