@@ -100,7 +100,9 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
     `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
     ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
-    its belief. `age_s`: in real time, seconds since the sampling instant of the step.
+    its belief. `age_s`: in real time, seconds since the sampling instant of the step. `weights` are
+    those of the neighbours' shares in the last round, rounded to four decimals, of a rule that
+    averages; the rest is the weight of the own share.
     """
 
     node: NodeIndex
@@ -114,6 +116,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     smoothed_std: list[list[float | None]] | None = None
     suspect: bool = False
     age_s: float | None = None
+    weights: list[float] | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

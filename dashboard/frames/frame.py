@@ -77,9 +77,10 @@ class StepFrame(NamedTuple):
         of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
         their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
         alive: (N,), who estimated this step. ages: (H,), communication cycles since what a node
-        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. lost: (H,), whose
-        newest share did not arrive. cut: (E,), links that are cut. rejection: per node, why it last
-        rejected a frame.
+        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. weights: (H,), of
+        what it holds, in its last round, NaN where no node told one. lost: (H,), whose newest share
+        did not arrive. cut: (E,), links that are cut. rejection: per node, why it last rejected a
+        frame.
     """
 
     stage: Stage
@@ -92,6 +93,7 @@ class StepFrame(NamedTuple):
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]
     ages: NDArray[np.int64]
+    weights: NDArray[np.float64]
     lost: NDArray[np.bool_]
     cut: NDArray[np.bool_]
     traffic: NodeTraffic

@@ -9,19 +9,21 @@ from concord.dashboard.bridge import Bridge
 from concord.dashboard.comparison.compared_charts import compared_charts
 from concord.dashboard.comparison.other_run import OtherRun
 from concord.dashboard.comparison.ratio_table import ratio_table
+from concord.dashboard.explain.help import help_panel
+from concord.dashboard.explain.selected import selected_panel
+from concord.dashboard.explain.tooltips import tooltips
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import BusCycle, StepFrame
 from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.provenance import STEPS_BACK
 from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.layout import lay_out
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
-from concord.dashboard.panels.help import help_panel
 from concord.dashboard.panels.run_strip import MOST_BINS, RunStrip
-from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
 from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView
@@ -61,7 +63,7 @@ class Page:
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE, other is not None)
         with panels.charts:
-            gui.add_html(DENSE_STYLE, order=0)
+            gui.add_html(DENSE_STYLE + tooltips(), order=0)
         charts = run_charts(stage)
         if other is not None:
             charts = compared_charts(charts, other, history)
@@ -146,7 +148,7 @@ class Page:
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
         frame = history.at(view.step)
-        stage = frame.stage
+        stage, past = frame.stage, history.until(frame.step, STEPS_BACK)
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Run": (
@@ -159,7 +161,7 @@ class Page:
             "States": (self._states, lambda: states(stage, view, history)),
             "Log": (self._log, lambda: log(view.theme, events)),
             "Help": (self._help, lambda: help_panel(view, frame)),
-            "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
+            "Selected": (self._selected, lambda: selected_panel(stage, view, past)),
         }  # fmt: skip
         if other := self._other:
             panels["Ratios"] = (

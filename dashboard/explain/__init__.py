@@ -1,0 +1,1 @@
+"""What the page says about itself: help, tooltips, and what made a number."""
