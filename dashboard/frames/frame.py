@@ -12,12 +12,16 @@ from concord.filters.gaussian import Gaussian
 
 
 class LogEntry(NamedTuple):
-    """Something worth a line in the log; `node` is whom it is about, None for the network."""
+    """Something worth a line in the log; `node` is whom it is about, None for the network.
+
+    `words` are those of the command in a script; "" of what no command asks for.
+    """
 
     step: int
     text: str
     node: int | None = None
     trouble: bool = False
+    words: str = ""
 
 
 class BusCycle(NamedTuple):

@@ -33,6 +33,7 @@ from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.seeking.time_cursor import TimeCursor
 from concord.dashboard.theme import Theme, css
+from concord.dashboard.touch.script import script_panel
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
 
@@ -159,7 +160,10 @@ class Page:
                 self._zoom, lambda: zoom(stage, view.theme, frame, view.pair, view.selected),
             ),
             "States": (self._states, lambda: states(stage, view, history)),
-            "Log": (self._log, lambda: log(view.theme, events)),
+            "Log": (
+                self._log,
+                lambda: log(view.theme, events) + script_panel(view.theme, reversed(events)),
+            ),
             "Help": (self._help, lambda: help_panel(view, frame)),
             "Selected": (self._selected, lambda: selected_panel(stage, view, past)),
         }  # fmt: skip
