@@ -89,5 +89,16 @@ def test_the_help_has_the_legend_and_every_heading(page: Page):
     open_tab(page, "Nodes")
 
 
+def test_an_address_with_a_step_opens_that_step(page: Page):
+    again = page.page.context.browser.new_page()
+    try:
+        again.goto(f"{page.dashboard.url}&fixedDpr=0.5&step=17")
+        page.until(lambda: page.dashboard.view.step == 17)
+        page.until(lambda: page.text("step") == "17")
+    finally:
+        again.close()
+    page.dashboard.inputs.alter(lambda view: view.look_at(40))
+
+
 def test_the_console_is_clean(page: Page):
     assert page.console == []

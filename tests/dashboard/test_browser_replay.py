@@ -324,7 +324,7 @@ def test_dark_and_light(page: Page):
 
 
 def test_exports(page: Page):
-    scene = page.download("Animated scene (.html)").decode()
+    scene = page.download("Run (.html)").decode()
     assert scene.lstrip().lower().startswith("<!doctype html")
     assert len(scene) > 200_000
     charts = page.download("Charts (.html)").decode()

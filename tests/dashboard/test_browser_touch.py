@@ -42,7 +42,7 @@ def free_node(page: Page) -> int:
     """Return a node that no panel covers and that stands apart from the others."""
     seen = np.array(page.pixels(places(page)))
     apart = np.linalg.norm(seen[:, None] - seen, axis=-1) + 999 * np.eye(len(seen))
-    inside = (np.abs(seen - [450, 240]) < [180, 190]).all(axis=1)
+    inside = np.all(np.abs(seen - [450, 240]) < [180, 190], axis=1)
     return int(np.argmax(np.where(inside, apart.min(axis=1), -1)))
 
 
@@ -95,8 +95,9 @@ def far_link(page: Page) -> tuple[int, int]:
     seen, nodes = np.array(page.pixels(middles)), np.array(page.pixels(at))
     apart = np.linalg.norm(seen[:, None] - nodes, axis=-1).min(axis=1)
     apart = np.minimum(apart, _to_others(seen))
-    inside = (np.abs(seen - [450, 240]) < [180, 190]).all(axis=1)
-    return tuple(map(int, edges[np.argmax(np.where(inside, apart, -1))]))
+    inside = np.all(np.abs(seen - [450, 240]) < [180, 190], axis=1)
+    first, second = edges[np.argmax(np.where(inside, apart, -1))]
+    return int(first), int(second)
 
 
 def _to_others(seen: np.ndarray) -> np.ndarray:
@@ -117,7 +118,7 @@ def test_a_link_is_cut_by_its_menu(page: Page):
 def open_link(page: Page) -> tuple[int, int]:
     """Return a link of which no panel covers either end."""
     seen, edges = np.array(page.pixels(places(page))), page.dashboard.stage.edges
-    inside = (np.abs(seen - [450, 240]) < [180, 190]).all(axis=1)
+    inside = np.all(np.abs(seen - [450, 240]) < [180, 190], axis=1)
     first, second = edges[inside[edges].all(axis=1)][0]
     return int(first), int(second)
 
