@@ -1,1 +1,1 @@
-"""What the page says about itself: help, tooltips, and what made a number."""
+"""Explanations of the page: help, tooltips, and the shares that made a number."""

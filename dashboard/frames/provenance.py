@@ -42,7 +42,7 @@ class UsedShare(NamedTuple):
 
 
 class Provenance(NamedTuple):
-    """What made the estimate of a node: its own weight (NaN: not told), and the shares it held."""
+    """Own weight of a node (NaN: not told), and the shares that it held for its estimate."""
 
     own_weight: float
     shares: tuple[UsedShare, ...]

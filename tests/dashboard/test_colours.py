@@ -9,7 +9,8 @@ from concord.dashboard.theme import DARK, LIGHT, Theme
 from tests.dashboard.colour_vision import SIGHT, difference, lab
 
 MEANINGS = (
-    "seeing", "blind", "stale", "sending", "down", "truth", "fused", "estimate", "selection", "edge",
+    "seeing", "blind", "stale", "sending", "down", "truth", "fused", "estimate", "selection",
+    "edge",
 )  # fmt: skip
 LEAST = 10.0
 
