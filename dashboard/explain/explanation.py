@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
-from concord.dashboard.frames.provenance import Arrival, UsedShare, provenance
+from concord.dashboard.frames.provenance import ShareArrival, UsedShare, provenance
 from concord.dashboard.theme import Theme, css
 
 HEADINGS = {
@@ -30,7 +30,7 @@ def explanation(theme: Theme, past: Sequence[StepFrame], node: int) -> str:
     top = max([made.own_weight, *(share.weight for share in made.shares)])
     rows = [_row(theme, "own", made.own_weight, top, ("", "", "", _own_reading(frame, node)))]
     for share in sorted(made.shares, key=_by_weight):
-        name, is_bad = escape(stage.names[share.sender]), share.arrival is not Arrival.FRESH
+        name, is_bad = escape(stage.names[share.sender]), share.arrival is not ShareArrival.FRESH
         rows.append(_row(theme, name, share.weight, top, _places(share), share.sender, is_bad))
     heads = "".join(f'<th title="{meaning}">{head}</th>' for head, meaning in HEADINGS.items())
     note = ""

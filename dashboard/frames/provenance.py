@@ -13,7 +13,7 @@ STEPS_BACK = 60
 """Number of steps, the shown one included, in which the frames of held shares are looked up."""
 
 
-class Arrival(Enum):
+class ShareArrival(Enum):
     """How the share of a neighbour came to a node, or why it did not."""
 
     FRESH = "came in time"
@@ -33,7 +33,7 @@ class UsedShare(NamedTuple):
     """
 
     sender: int
-    arrival: Arrival
+    arrival: ShareArrival
     age_cycles: int
     weight: float
     step: int | None = None
@@ -75,15 +75,15 @@ def _share(past: Sequence[StepFrame], position: int) -> UsedShare:
     return UsedShare(sender, arrival, age, weight)
 
 
-def _arrival(frame: StepFrame, position: int) -> Arrival:
+def _arrival(frame: StepFrame, position: int) -> ShareArrival:
     stage, (receiver, sender) = frame.stage, frame.stage.heard[position]
     if frame.ages[position] < 0:
-        return Arrival.NEVER
+        return ShareArrival.NEVER
     if frame.ages[position] == 0:
-        return Arrival.FRESH
+        return ShareArrival.FRESH
     if not frame.alive[sender]:
-        return Arrival.DOWN
+        return ShareArrival.DOWN
     ends = sorted((int(receiver), int(sender)))
     if len(stage.edges) and frame.cut[(stage.edges == ends).all(axis=1)].any():
-        return Arrival.CUT
-    return Arrival.LOST if frame.lost[position] else Arrival.HELD
+        return ShareArrival.CUT
+    return ShareArrival.LOST if frame.lost[position] else ShareArrival.HELD

@@ -1,4 +1,4 @@
-"""What a menu offers for a node or a link: labels, and the words of the command behind each."""
+"""Commands that a menu offers for a node or a link: labels, and the words behind each."""
 
 import numpy as np
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from concord.dashboard.explain.explanation import explanation
-from concord.dashboard.frames.provenance import STEPS_BACK, Arrival, provenance
+from concord.dashboard.frames.provenance import STEPS_BACK, ShareArrival, provenance
 from concord.dashboard.theme import DARK
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.fusion.hold import held_weights, inverse_volume
@@ -63,15 +63,21 @@ def test_each_share_is_found_where_it_was_on_the_bus():
             for share in made.shares:
                 met.add(share.arrival)
                 if share.age_cycles < 0:
-                    assert share.arrival is Arrival.NEVER and share.weight == 0
+                    assert share.arrival is ShareArrival.NEVER and share.weight == 0
                     continue
                 assert share.step is not None and share.frames
                 assert {one.node for one in share.frames} == {share.sender}
                 sent = next(f for f in frames if f.step == share.step)
                 cycle = next(c for c in sent.cycles if c.bus_cycle == share.bus_cycle)
                 assert cycle.cycle + share.age_cycles == past[-1].cycles[-1].cycle
-                assert (share.arrival is Arrival.FRESH) == (share.age_cycles == 0)
-    assert met >= {Arrival.FRESH, Arrival.HELD, Arrival.LOST, Arrival.CUT, Arrival.DOWN}
+                assert (share.arrival is ShareArrival.FRESH) == (share.age_cycles == 0)
+    assert met >= {
+        ShareArrival.FRESH,
+        ShareArrival.HELD,
+        ShareArrival.LOST,
+        ShareArrival.CUT,
+        ShareArrival.DOWN,
+    }
 
 
 def test_a_rule_that_does_not_average_tells_no_weight_and_the_page_says_so():
