@@ -30,6 +30,7 @@ from concord.dashboard.panels.table import status
 from concord.dashboard.player import Extent, play_live, play_recorded
 from concord.dashboard.scene.magnification import followed_magnification
 from concord.dashboard.theme import DARK, LIGHT, Theme
+from concord.dashboard.touch.hand import Hand
 from concord.dashboard.view import MANY_NODES, View
 from concord.dashboard.window import PageServer
 
@@ -63,6 +64,9 @@ class Dashboard:
         self.page = Page(
             self._window, self.inputs, self.stage, self.view, self.failures, self.history, other
         )
+        self._hand = None
+        if source.takes_commands:
+            self._hand = Hand(self.server, self.page.scene, self.controls.commands)
         self._shortcuts()
 
     @property
@@ -202,6 +206,9 @@ class Dashboard:
         if state == "RECORDED":
             state = "RUNNING" if self.view.playing else "PAUSED"
         waiting = self.controls.show_state(pace, self.view.playing)
+        if (hand := self._hand) is not None:
+            pending = self.controls.commands.pending if waiting else []
+            self.failures.attempt("Ghosts", lambda: hand.draw(self.view.theme, pending))
         judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         failures = self.failures.sentences()
         html = status(self.stage, self.view.theme, frame, state, detail, failures, waiting, judged)

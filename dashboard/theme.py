@@ -1,6 +1,7 @@
 """Colours: one meaning each, told apart by the colour-blind, dark or light.
 
-Source: Okabe, Ito (2008), Color Universal Design, the palette of eight colours.
+Source: Okabe, Ito (2008), Color Universal Design, the palette of eight colours. The other colours
+were searched for: any two meanings differ by 10 or more (CIEDE2000) for each kind of sight.
 """
 
 from typing import NamedTuple
@@ -36,6 +37,7 @@ class Theme(NamedTuple):
     grid_section: Colour
     seeing: Colour
     blind: Colour
+    stale: Colour
     sending: Colour
     down: Colour
     truth: Colour
@@ -50,11 +52,12 @@ DARK = Theme(
     quiet=(150, 156, 168),
     faint=(56, 60, 70),
     panel=(36, 36, 36),
-    edge=(96, 110, 142),
+    edge=(110, 104, 92),
     grid=(40, 44, 54),
     grid_section=(58, 64, 78),
     seeing=SKY,
     blind=(45, 105, 150),
+    stale=(176, 202, 176),
     sending=ORANGE,
     down=VERMILION,
     truth=YELLOW,
@@ -68,11 +71,12 @@ LIGHT = Theme(
     quiet=(98, 104, 116),
     faint=(222, 226, 233),
     panel=(255, 255, 255),
-    edge=(150, 158, 176),
+    edge=(166, 174, 166),
     grid=(236, 238, 242),
     grid_section=(214, 218, 226),
-    seeing=(60, 160, 220),
+    seeing=(64, 131, 239),
     blind=(150, 178, 200),
+    stale=(124, 72, 46),
     sending=ORANGE,
     down=VERMILION,
     truth=(20, 20, 20),

@@ -6,9 +6,12 @@ from typing import cast
 import numpy as np
 
 from concord.filters.linalg import pack_upper
-from concord.nodes.estimator import ChecksItself, KeepsPast, KeepsZonotope
+from concord.nodes.estimator import ChecksItself, KeepsPast, KeepsZonotope, WeighsShares
 from concord.nodes.messages import Estimate, to_wire
 from concord.nodes.node_state import NodeConfig, NodeState
+
+# The page shows two; a weight is not computed with.
+_WEIGHT_DECIMALS = 4
 
 
 def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
@@ -22,6 +25,9 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         smoothed, cov = cast(KeepsPast, estimator).smoothed(content)
         smoothed_std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
     checks = _has(type(estimator), ChecksItself)
+    weights = None
+    if _has(type(estimator), WeighsShares):
+        weights = cast(WeighsShares, estimator).weights(content)
     return Estimate(
         config.index,
         state.step,
@@ -32,6 +38,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
         suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
         absent=tuple(sorted(state.absent)),
+        weights=None if weights is None else weights.round(_WEIGHT_DECIMALS).tolist(),
     )
 
 

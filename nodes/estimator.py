@@ -89,6 +89,15 @@ class ChecksItself(Protocol):
 
 
 @runtime_checkable
+class WeighsShares(Protocol):
+    """An estimator that may average the shares of its neighbours."""
+
+    def weights(self, content: Any) -> np.ndarray | None:
+        """Weights (J,) of the neighbours' shares in the last round; None where none were used."""
+        ...
+
+
+@runtime_checkable
 class KeepsPast(Protocol):
     """An estimator that also estimates the states of past steps."""
 

@@ -102,7 +102,9 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
     ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
     its belief. `age_s`: in real time, seconds since the sampling instant of the step. `absent`:
-    the nodes that it takes for out.
+    the nodes that it takes for out. `weights` are those of the neighbours' shares in the last
+    round, rounded to four decimals, of a rule that averages; the rest is the weight of the own
+    share.
     """
 
     node: NodeIndex
@@ -117,6 +119,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     suspect: bool = False
     age_s: float | None = None
     absent: NodeTuple = ()
+    weights: list[float] | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -43,6 +43,7 @@ class Assembler:
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
         self._ages = np.full(len(stage.heard), -1)
+        self._weights = np.full(len(stage.heard), np.nan)
         self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
         self._rejection = [""] * nodes
         self._last_sent = np.full(nodes, -1)
@@ -124,6 +125,7 @@ class Assembler:
             seen=_seen(told, stage.nodes),
             alive=alive,
             ages=ages,
+            weights=self._weights,
             lost=self._lost(ages, alive, numbers[-1]),
             cut=self._cut(),
             traffic=self._traffic(),
@@ -135,6 +137,7 @@ class Assembler:
 
     def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
+        self._weights = np.full(len(self._stage.heard), np.nan)
         start = 0
         for node, neighbours in enumerate(self._stage.setup.neighbours):
             estimate = told.estimates.get(node)
@@ -150,6 +153,8 @@ class Assembler:
             self._zonotopes[node] = _generators(estimate, mean.shape[-1])
             if len(estimate.ages) == len(neighbours):
                 self._ages[part] = estimate.ages
+            if estimate.weights is not None and len(estimate.weights) == len(neighbours):
+                self._weights[part] = estimate.weights
             self._note_rejections(number, node, estimate.counters)
             self._counters[node] = estimate.counters
         self._belief = Gaussian(mean, cov)

@@ -12,12 +12,16 @@ from concord.filters.gaussian import Gaussian
 
 
 class LogEntry(NamedTuple):
-    """Something worth a line in the log; `node` is whom it is about, None for the network."""
+    """Something worth a line in the log; `node` is whom it is about, None for the network.
+
+    `words` are those of the command in a script; "" of what no command asks for.
+    """
 
     step: int
     text: str
     node: int | None = None
     trouble: bool = False
+    words: str = ""
 
 
 class BusCycle(NamedTuple):
@@ -77,9 +81,10 @@ class StepFrame(NamedTuple):
         of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
         their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
         alive: (N,), who estimated this step. ages: (H,), communication cycles since what a node
-        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. lost: (H,), whose
-        newest share did not arrive. cut: (E,), links that are cut. rejection: per node, why it last
-        rejected a frame.
+        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. weights: (H,), of
+        what it holds, in its last round, NaN where no node told one. lost: (H,), whose newest share
+        did not arrive. cut: (E,), links that are cut. rejection: per node, why it last rejected a
+        frame.
     """
 
     stage: Stage
@@ -92,6 +97,7 @@ class StepFrame(NamedTuple):
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]
     ages: NDArray[np.int64]
+    weights: NDArray[np.float64]
     lost: NDArray[np.bool_]
     cut: NDArray[np.bool_]
     traffic: NodeTraffic

@@ -21,7 +21,7 @@ class FrameHistory:
 
     def __init__(self, stage: Stage) -> None:
         n = len(stage.setup.prior_mean)
-        frame_bytes = 8 * (stage.nodes * (n + n * n + 16) + 2 * len(stage.heard)) + 2000
+        frame_bytes = 8 * (stage.nodes * (n + n * n + 16) + 3 * len(stage.heard)) + 2000
         self._limit = max(100, min(_MOST_FRAMES, _MEMORY_BYTES // frame_bytes))
         self._first_scored = stage.score.first_step
         self._frames: list[StepFrame] = []

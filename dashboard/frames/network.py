@@ -69,6 +69,49 @@ def changed(
     Raises:
         KeyError, TypeError, ValueError, IndexError: the change is malformed.
     """
+    network_after, event = _applied(network, change, names)
+    return network_after, event._replace(words=_words(network, change))
+
+
+def _words(network: NetworkStatus, change: AnnouncedChange) -> str:
+    """Return the command behind a change, as a script says it; a link in one direction."""
+    facts = change.facts
+    link = f"{facts.get('sender')} {facts.get('receiver')} one-way"
+    match change.what:
+        case "left" | "gone":
+            return f"kill {facts['node']}"
+        case "joined":
+            return f"restart {facts['node']}"
+        case "cut" | "healed":
+            return f"{'cut' if change.what == 'cut' else 'heal'} {link}"
+        case "loss":
+            of = "" if facts.get("sender") is None else f" {link}"
+            return f"loss {float(facts['probability']):g}{of}"
+        case "fault":
+            return _fault_words(facts)
+        case "calm":
+            return "calm"
+        case "settings":
+            told = dict(facts["settings"]).items()
+            new = [f"{k}={v}" for k, v in told if network.settings.get(k) != v]
+            return f"set {' '.join(new)}" if new else ""
+    return ""
+
+
+def _fault_words(facts: Mapping[str, Any]) -> str:
+    kind, nodes = str(facts["kind"]), [str(node) for node in facts["nodes"]]
+    place = EVERY_FAULT[kind].place
+    numbers = [f"{float(number):.12g}" for number in facts["numbers"]]
+    if place == "link":
+        return " ".join((kind, *numbers, *nodes, *(["one-way"] if nodes else [])))
+    if place == "channel":
+        nodes = [CHANNELS[int(node)] for node in nodes]
+    return " ".join((kind, *nodes, *numbers))
+
+
+def _applied(
+    network: NetworkStatus, change: AnnouncedChange, names: tuple[str, ...]
+) -> tuple[NetworkStatus, LogEntry]:
     facts = change.facts
     match change.what:
         case "left" | "gone" | "joined":

@@ -18,8 +18,8 @@ class Commands:
         self._source, self.tell = source, tell
         self._thread = ThreadPoolExecutor(1, "commands")
         self._newest: dict[str, dict[str, Any]] = {}
-        # Accepted while the network was paused: at how many completed steps, and the words.
-        self._waiting: list[tuple[int, str]] = []
+        # Accepted while the network was paused: at how many completed steps, words and command.
+        self._waiting: list[tuple[int, str, dict[str, Any]]] = []
 
     def soon(self, act: Callable[..., object], *values: Any) -> None:
         """Call `act(*values)` in the thread of the commands."""
@@ -47,7 +47,7 @@ class Commands:
             when = "It holds from the next step, which waits for Step or Resume." if paused else ""
             self.tell(client, "Accepted", f"{what[0].upper()}{what[1:]}. {when}", False)
             if paused:
-                self._waiting = [*self._waiting, (before.completed, what)]
+                self._waiting = [*self._waiting, (before.completed, what, command)]
         return answer
 
     def waiting(self, pace: SourceState) -> list[str]:
@@ -55,7 +55,12 @@ class Commands:
         if pace.state == "SILENT":
             return []
         self._waiting = [one for one in self._waiting if one[0] == pace.completed]
-        return [what for _, what in self._waiting]
+        return [what for _, what, _ in self._waiting]
+
+    @property
+    def pending(self) -> list[dict[str, Any]]:
+        """Return the commands of which `waiting` told last."""
+        return [command for *_, command in self._waiting]
 
     def is_paused(self) -> bool:
         """Say whether the network is paused."""

@@ -48,13 +48,13 @@ class Controls:
         self._plays = not source.live
         self._answered, self._rate = True, 0.0
         self._run_again: Callable[[], None] | None = None
-        self._commands = Commands(source, tell)
+        self.commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
         self._run_folder(gui, source)
         self.network = self.node = None
         if source.takes_commands:
-            self.network = NetworkControls(gui, inputs, self._commands, source.stage)
-            self.node = NodeControls(gui, inputs, self._commands, source.stage)
+            self.network = NetworkControls(gui, inputs, self.commands, source.stage)
+            self.node = NodeControls(gui, inputs, self.commands, source.stage)
         self.view = ViewControls(gui, inputs, source.stage, view, fit)
 
     def _run_folder(self, gui: viser.GuiApi, source: Source) -> None:
@@ -75,7 +75,7 @@ class Controls:
             )
             self.loop = LoopButtons(gui, self._inputs, self._history)
             self.loop.group.visible = not source.live
-            self.until = RunUntil(gui, self._inputs, source, self._commands)
+            self.until = RunUntil(gui, self._inputs, source, self.commands)
             self.again: Any = gui.add_button("Run again", icon=viser.Icon.REFRESH, visible=False)
             self._reload: Any = gui.add_html("")
         # On a page that is read-only the pace of the network is not for its users to choose.
@@ -99,7 +99,7 @@ class Controls:
         if self._plays:
             self._inputs.alter(self._play_or_rest)
         else:
-            self._commands.soon(self._toggle_network, client)
+            self.commands.soon(self._toggle_network, client)
 
     def _play_or_rest(self, view: View) -> None:
         if view.playing:
@@ -110,18 +110,18 @@ class Controls:
             view.play(history.first_step, history.last_step if is_read else view.step + 1)
 
     def _toggle_network(self, client: Any) -> None:
-        self._commands.send({"do": "resume" if self._commands.is_paused() else "pause"}, client)
+        self.commands.send({"do": "resume" if self.commands.is_paused() else "pause"}, client)
 
     def step_once(self, client: Any) -> None:
         """One step more; a network that runs is paused first."""
         if self._plays:
             self._inputs.alter(lambda view: view.look_at(view.step + 1))
         else:
-            self._commands.soon(self._step_network, client)
+            self.commands.soon(self._step_network, client)
 
     def _step_network(self, client: Any) -> None:
-        if self._commands.is_paused() or self._commands.send({"do": "pause"}, client).accepted:
-            self._commands.send({"do": "step", "count": 1}, client)
+        if self.commands.is_paused() or self.commands.send({"do": "pause"}, client).accepted:
+            self.commands.send({"do": "step", "count": 1}, client)
             self.follow()
 
     def step_back(self) -> None:
@@ -150,7 +150,7 @@ class Controls:
             self._inputs.alter(lambda view: setattr(view, "speed", rate))
         else:
             command = {"do": "speed", "steps_per_second": rate}
-            self._commands.newest_only("speed", command, event.client)
+            self.commands.newest_only("speed", command, event.client)
 
     def show_state(self, pace: SourceState, playing: bool) -> list[str]:
         """Let the widgets show a state of the source; return the changes that wait, in words."""
@@ -167,7 +167,7 @@ class Controls:
             if pace.steps_per_s != self._rate:
                 self._rate = pace.steps_per_s
                 self._inputs.show(self.speed, value=min(round(self._rate), _MOST_STEPS_PER_S))
-        return self._commands.waiting(pace)
+        return self.commands.waiting(pace)
 
     def _end(self, playing: bool) -> None:
         """Turn the page of a network that has ended into one that plays what it has received."""
@@ -213,4 +213,4 @@ class Controls:
 
     def close(self) -> None:
         """Drop the commands that wait."""
-        self._commands.close()
+        self.commands.close()

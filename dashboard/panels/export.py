@@ -10,18 +10,25 @@ import viser
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import Drawn
 from concord.dashboard.panels.scene_picture import LEAST_WIDTH, scene_picture
+from concord.dashboard.panels.shared_run import FRAME_S, shared_run
 from concord.dashboard.scene.camera import Camera
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.view import View
 
 MOST_FRAMES = 150
-_FRAME_S = 0.08
 
 
-def animated_scene(stage: Stage, view: View, frames: Sequence[StepFrame], camera: Camera) -> str:
-    """Return the scene through `frames` as one page that needs nothing else.
+def animated_scene(
+    stage: Stage,
+    view: View,
+    frames: Sequence[StepFrame],
+    camera: Camera,
+    charts: Sequence[Drawn] = (),
+) -> str:
+    """Return scene, bus and charts through `frames` as one page that needs nothing else.
 
     It is recorded on a server of its own: a recording takes down all that its server sends, and
     must not move the pictures of those who watch.
@@ -33,14 +40,17 @@ def animated_scene(stage: Stage, view: View, frames: Sequence[StepFrame], camera
         scene = Scene(server.scene, stage, view.theme, None)
         recorder = server.get_scene_serializer()
         stride = max(1, -(-len(frames) // MOST_FRAMES))
-        for index in range(0, len(frames), stride):
-            past = frames[max(0, index + 1 - TRAIL) : index + 1]
-            sender, _ = sender_at(frames[index], view.cursor)
-            assign = scene.draw(view, frames[index], past, sender)
+        shown = [
+            frames[max(0, index + 1 - TRAIL) : index + 1] for index in range(0, len(frames), stride)
+        ]
+        for past in shown:
+            sender, _ = sender_at(past[-1], view.cursor)
+            assign = scene.draw(view, past[-1], past, sender)
             with server.atomic():
                 assign()
-            recorder.insert_sleep(_FRAME_S)
-        return recorder.as_html(dark_mode=view.theme.dark)
+            recorder.insert_sleep(FRAME_S)
+        html = recorder.as_html(dark_mode=view.theme.dark)
+        return shared_run(html, stage, view, shown, charts)
     finally:
         server.stop()
 

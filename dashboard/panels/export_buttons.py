@@ -11,9 +11,11 @@ from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Drawn
 from concord.dashboard.panels.chart_export import charts_page, charts_picture
 from concord.dashboard.panels.export import animated_scene, screenshot, zipped
-from concord.dashboard.scene.camera import Camera
+from concord.dashboard.scene.camera import Free, aimed
 from concord.dashboard.theme import QUIET_BUTTON
 from concord.dashboard.view import View
+
+_EXPORTED = Free(1000.0, 520.0, 40.0, 60.0, 960.0, 480.0)
 
 
 class Shown(NamedTuple):
@@ -36,9 +38,7 @@ class ExportButtons:
         icon = viser.Icon
         with gui.add_folder("Export"):
             self.picture: Any = gui.add_button("Scene (.png)", color=QUIET_BUTTON, icon=icon.CAMERA)
-            self.scene: Any = gui.add_button(
-                "Animated scene (.html)", color=QUIET_BUTTON, icon=icon.MOVIE
-            )
+            self.scene: Any = gui.add_button("Run (.html)", color=QUIET_BUTTON, icon=icon.MOVIE)
             self.charts: Any = gui.add_button(
                 "Charts (.html)", color=QUIET_BUTTON, icon=icon.CHART_LINE
             )
@@ -66,11 +66,11 @@ class ExportButtons:
         shown = self._shown()
         if event.client is None or not len(shown.history):
             return
-        seen = event.client.camera
-        camera = Camera(tuple(seen.position), tuple(seen.look_at))
+        # The exported page leaves the scene another room than this window does.
+        camera = aimed(shown.stage.in_scene(shown.stage.whereabouts, 0.15), _EXPORTED)
         frames = shown.history.until(shown.view.step, 2000)
-        html = animated_scene(shown.stage, shown.view, frames, camera)
-        self._give(event.client, shown, "scene.html", html.encode())
+        html = animated_scene(shown.stage, shown.view, frames, camera, shown.charts)
+        self._give(event.client, shown, "run.html", html.encode())
 
     def _give_charts(self, event: Any) -> None:
         if event.client is not None:

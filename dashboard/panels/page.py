@@ -9,28 +9,31 @@ from concord.dashboard.bridge import Bridge
 from concord.dashboard.comparison.compared_charts import compared_charts
 from concord.dashboard.comparison.other_run import OtherRun
 from concord.dashboard.comparison.ratio_table import ratio_table
+from concord.dashboard.explain.help import help_panel
+from concord.dashboard.explain.selected import selected_panel
+from concord.dashboard.explain.tooltips import tooltips
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.expected import Expectation
-from concord.dashboard.frames.frame import BusCycle, StepFrame
+from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.provenance import STEPS_BACK
 from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.layout import lay_out
 from concord.dashboard.panels.chart_table import run_charts, state_charts
 from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
-from concord.dashboard.panels.help import help_panel
 from concord.dashboard.panels.run_strip import MOST_BINS, RunStrip
-from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.states import states
 from concord.dashboard.panels.table import log, node_table
-from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView
+from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView, past_cycles
 from concord.dashboard.panels.zoom import zoom
 from concord.dashboard.scene.ghost import Ghost
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.seeking.time_cursor import TimeCursor
 from concord.dashboard.theme import Theme, css
+from concord.dashboard.touch.script import script_panel
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
 
@@ -57,11 +60,13 @@ class Page:
         self._window, self._inputs = window, inputs
         self._attempt, self._other = failures.attempt, other
         self._drawn: dict[str, str] = {}
+        self._extent = (0, -1)
+        self._wanted_step: int | None = None
         self._time_step_s = stage.setup.time_step_s
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE, other is not None)
         with panels.charts:
-            gui.add_html(DENSE_STYLE, order=0)
+            gui.add_html(DENSE_STYLE + tooltips(), order=0)
         charts = run_charts(stage)
         if other is not None:
             charts = compared_charts(charts, other, history)
@@ -84,7 +89,7 @@ class Page:
             self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
             self._strip = RunStrip()
             self._run = Bridge(gui, MOST_BINS, self._seek, lambda _: None)
-            TimeCursor(gui, self._seek_time)
+            TimeCursor(gui, self._seek_time, self._seek_first)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
             self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
@@ -95,8 +100,18 @@ class Page:
         self.scene = Scene(window.server.scene, stage, view.theme, inputs.select)
         window.aim(self.scene, panels)
 
+    def _seek_first(self, step: int) -> None:
+        """Show the step of an address as soon as it has come."""
+        self._wanted_step = step
+        self.set_extent(*self._extent)
+
     def set_extent(self, first_step: int, last_step: int) -> None:
         """Let people choose among these steps."""
+        self._extent = first_step, last_step
+        wanted = self._wanted_step
+        if wanted is not None and last_step >= wanted:
+            self._wanted_step = None
+            self._inputs.alter(lambda view: view.look_at(wanted))
         self._inputs.show(self.slider, max=max(1, last_step), min=first_step)
 
     def _scrub(self, _: Any) -> None:
@@ -122,7 +137,7 @@ class Page:
         assign = self._attempt("Scene", lambda: self.scene.draw(view, frame, tail, sender))
 
         def timeline() -> str:
-            past = _past_cycles(history, view.step, cycle)
+            past = past_cycles(history.until(view.step, RASTER_ROWS + 1), cycle)
             return self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
 
         bus = self._attempt("Bus", timeline)
@@ -146,7 +161,7 @@ class Page:
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
         frame = history.at(view.step)
-        stage = frame.stage
+        stage, past = frame.stage, history.until(frame.step, STEPS_BACK)
         events = [event for event in reversed(history.log) if event.step <= view.step]
         panels: dict[str, tuple[Any, Callable[[], str]]] = {
             "Run": (
@@ -157,9 +172,12 @@ class Page:
                 self._zoom, lambda: zoom(stage, view.theme, frame, view.pair, view.selected),
             ),
             "States": (self._states, lambda: states(stage, view, history)),
-            "Log": (self._log, lambda: log(view.theme, events)),
+            "Log": (
+                self._log,
+                lambda: log(view.theme, events) + script_panel(view.theme, reversed(events)),
+            ),
             "Help": (self._help, lambda: help_panel(view, frame)),
-            "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
+            "Selected": (self._selected, lambda: selected_panel(stage, view, past)),
         }  # fmt: skip
         if other := self._other:
             panels["Ratios"] = (
@@ -192,10 +210,3 @@ class Page:
         self.scene.set_theme(theme)
         for charts in (self.charts, self._state_charts):
             charts.set_theme(theme)
-
-
-def _past_cycles(history: FrameHistory, step: int, shown: BusCycle) -> list[BusCycle]:
-    """Return cycles before the shown one, the newest first."""
-    wanted = -(-RASTER_ROWS // max(1, len(history.at(step).cycles))) + 1
-    cycles = [cycle for frame in history.until(step, wanted) for cycle in frame.cycles]
-    return [cycle for cycle in reversed(cycles) if cycle.cycle < shown.cycle][:RASTER_ROWS]

@@ -5,11 +5,12 @@ from html import escape
 
 import numpy as np
 
+from concord.dashboard.explain.help import HEADINGS
+from concord.dashboard.explain.tooltips import CHARTS
 from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.frames.verdict import RunVerdict
-from concord.dashboard.panels.help import HEADINGS
 from concord.dashboard.scene.signs import MARKS, colour_of
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
@@ -47,9 +48,10 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
             + "".join(f"<td>{number}</td>" for number in numbers)
             + f"<td>{age}</td>"
-            f'<td style="padding-left:12px;background:linear-gradient(to right,'
+            f'<td class="why" style="padding-left:12px;background:linear-gradient(to right,'
             f"{css(bar_colour, 0.35)} {bar:.0f}%,"
-            f'transparent {bar:.0f}%)">{_number(error)}</td><td>{_number(width[node])}</td>'
+            f'transparent {bar:.0f}%)">{_number(error)}</td>'
+            f'<td class="why">{_number(width[node])}</td>'
             + (f'<td style="text-align:left">{escape(frame.rejection[node])}</td>' if told else "")
             + "</tr>"
         )
@@ -63,6 +65,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
         f"white-space:nowrap}}.nodes th{{color:"
         f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
+        f".why:hover{{text-decoration:underline}}"
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
         f'</style><div style="font-size:11px;color:{css(theme.text)};'
         f'overflow-x:auto;padding-right:8px">'
@@ -124,25 +127,25 @@ def status(
         f'color:#fff;border-radius:10px;padding:2px 10px;font-weight:700;font-size:11px">{state}'
         f'</span> <span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
     )
-    rows: list[tuple[str, str, str]] = []
+    rows: list[tuple[str, str, str, str]] = []
     if frame is not None:
         stage = frame.stage
         unit = stage.score.unit.removeprefix("1")
         rows = [
-            ("step", "step", f"{frame.step}"),
-            ("time", "time", f"{frame.time_s:.4g} s"),
-            ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}"),
-            ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}"),
-            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip()),
+            ("step", "step", f"{frame.step}", "number of the shown step, from 0"),
+            ("time", "time", f"{frame.time_s:.4g} s", "time of the plant"),
+            ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}", "nodes that are up"),
+            ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}", "of all links"),
+            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip(), CHARTS["RMSE"]),
         ]
         if np.isfinite(frame.scores.central):
-            rows.append(
-                ("centralised", "central", f"{_number(frame.scores.central)} {unit}".strip())
-            )
+            central = f"{_number(frame.scores.central)} {unit}".strip()
+            rows.append(("centralised", "central", central, "error of that filter in this step"))
     lines = "".join(
-        f'<div style="display:flex;justify-content:space-between"><span style="color:'
-        f'{css(theme.quiet)}">{name}</span><b data-testid="{key}">{escape(value)}</b></div>'
-        for name, key, value in rows
+        f'<div title="{meaning}" style="display:flex;justify-content:space-between"><span '
+        f'style="color:{css(theme.quiet)}">{name}</span><b data-testid="{key}">{escape(value)}</b>'
+        "</div>"
+        for name, key, value, meaning in rows
     )
     failed = "".join(
         f'<div data-testid="failure" style="margin-top:5px;font-size:11px;color:{css(theme.down)}">'

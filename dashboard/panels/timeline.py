@@ -23,6 +23,13 @@ from concord.dashboard.theme import Theme, css, mixed
 RASTER_ROWS = 11
 
 
+def past_cycles(past: Sequence[StepFrame], shown: BusCycle) -> list[BusCycle]:
+    """Return cycles of these frames before the shown one, the newest first."""
+    wanted = -(-RASTER_ROWS // max(1, len(past[-1].cycles))) + 1
+    cycles = [cycle for frame in past[-wanted:] for cycle in frame.cycles]
+    return [cycle for cycle in reversed(cycles) if cycle.cycle < shown.cycle][:RASTER_ROWS]
+
+
 class TimelineView:
     """Draws the bus of one run, each cycle with the schedule that it had."""
 

@@ -39,12 +39,12 @@ class Scene:
     ) -> None:
         self._scene, self._stage = scene, stage
         largest = 0.22 if stage.picture is PlantDrawing.TRACK else 0.4
-        self._radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, largest))
+        self.radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, largest))
         self._labels: list[Any] = []
         self._surroundings(theme)
-        self._nodes = self._make_nodes()
+        self.nodes = self._make_nodes()
         if pick is not None:
-            self._nodes.on_click(lambda event: pick(event.instance_index))
+            self.nodes.on_click(lambda event: pick(event.instance_index))
         self._halo = self._make_rings("/network/attention")
         self._edges = add_lines(scene, "/network/links", 1.6 if len(stage.edges) < 600 else 1.0)
         self._cut = add_lines(scene, "/network/cut", 2.2)
@@ -61,6 +61,8 @@ class Scene:
         self.target: np.ndarray | None = None
         """Where the target is in the scene (3,), once it is drawn; None of an unknown one."""
         self._drawn: tuple[View, StepFrame] | None = None
+        self.at: np.ndarray | None = None
+        """Where the nodes are in the scene (N, 3), once they are drawn."""
 
     def _surroundings(self, theme: Theme) -> None:
         scene = self._scene
@@ -73,6 +75,7 @@ class Scene:
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint what no frame repaints."""
+        self.theme = theme
         cell = _round_cell(self._stage)
         self._scene.add_grid(
             "/grid",
@@ -98,7 +101,7 @@ class Scene:
             faces,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (nodes, 1)),
             batched_positions=self._stage.in_scene(self._stage.positions(0), _NODE_HEIGHT),
-            batched_scales=np.full(nodes, self._radius),
+            batched_scales=np.full(nodes, self.radius),
             batched_colors=np.full((nodes, 3), 128, dtype=np.uint8),
             lod="off",
         )
@@ -120,7 +123,7 @@ class Scene:
 
     def extent(self) -> np.ndarray:
         """Points of the scene (P, 3) between which all of it lies, nodes and their names too."""
-        points, air = self.plant.extent(), 2.0 * self._radius
+        points, air = self.plant.extent(), 2.0 * self.radius
         around = np.array([(x, y, 0.0) for x in (-air, air) for y in (-air, air)])
         return (points[:, None] + around).reshape(-1, 3)
 
@@ -128,6 +131,11 @@ class Scene:
     def shown(self) -> np.ndarray:
         """Return the points (P, 3) at which the newest picture has beliefs and the truth."""
         return np.zeros((0, 3)) if self._drawn is None else self.plant.shown(*self._drawn)
+
+    @property
+    def frame(self) -> StepFrame | None:
+        """Return the frame of the newest picture."""
+        return None if self._drawn is None else self._drawn[1]
 
     def draw(
         self, view: View, frame: StepFrame, past: Sequence[StepFrame], sender: int
@@ -137,24 +145,24 @@ class Scene:
         words = conditions(stage, frame)
         at = self.plant.node_places(frame, past)
         colours = np.array([colour_of(theme, word) for word in words])
-        scales = np.full(stage.nodes, self._radius)
+        scales = np.full(stage.nodes, self.radius)
         scales[[word == DOWN for word in words]] *= 0.75
         if sender >= 0:
             colours[sender] = theme.sending
             scales[sender] *= 1.35
         alarmed = np.array([word in (DOWN, REJECTED, STALE) for word in words])
-        halo = np.where(alarmed, 1.55 * self._radius, HIDDEN)
+        halo = np.where(alarmed, 1.55 * self.radius, HIDDEN)
         links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
-        self.target, self._drawn = self.plant.target(frame), (view, frame)
+        self.target, self._drawn, self.at = self.plant.target(frame), (view, frame), at
         self._label(view, frame, at)
 
         def assign() -> None:
-            self._nodes.batched_positions = at.astype(np.float32)
-            self._nodes.batched_colors = linear(colours)
-            self._nodes.batched_scales = scales.astype(np.float32)
-            self._halo.batched_positions = (at - [0, 0, 0.5 * self._radius]).astype(np.float32)
+            self.nodes.batched_positions = at.astype(np.float32)
+            self.nodes.batched_colors = linear(colours)
+            self.nodes.batched_scales = scales.astype(np.float32)
+            self._halo.batched_positions = (at - [0, 0, 0.5 * self.radius]).astype(np.float32)
             self._halo.batched_scales = halo.astype(np.float32)
             self._halo.batched_colors = linear([colour_of(theme, word) for word in words])
             paint(self._edges, links, link_colours)
@@ -170,7 +178,7 @@ class Scene:
         ring.visible = node is not None
         if node is not None:
             ring.position = tuple(at[node])
-            ring.scale = size * self._radius
+            ring.scale = size * self.radius
             ring.color = colour
 
     def _links(
@@ -223,7 +231,7 @@ class Scene:
             ]  # fmt: skip
         for node, label in enumerate(self._labels):
             label.visible = wanted
-            label.position = tuple(at[node] + self._radius * np.array(off))
+            label.position = tuple(at[node] + self.radius * np.array(off))
 
 
 _NO_LINES = np.zeros((0, 2, 3))

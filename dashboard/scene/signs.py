@@ -1,7 +1,7 @@
 """Colour and sign of a node in each condition, the same in scene, table and legend."""
 
 from concord.dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE
-from concord.dashboard.theme import Colour, Theme, mixed
+from concord.dashboard.theme import Colour, Theme
 
 # A second sign beside the colour.
 MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
@@ -12,7 +12,7 @@ def colour_of(theme: Theme, condition: str) -> Colour:
     return {
         DOWN: theme.down,
         REJECTED: theme.estimate,
-        STALE: mixed(theme.down, theme.seeing, 0.5),
+        STALE: theme.stale,
         BLIND: theme.blind,
         SEEING: theme.seeing,
     }[condition]

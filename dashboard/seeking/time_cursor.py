@@ -49,7 +49,13 @@ _SCRIPT = (
     "charts=t=>plots().forEach(u=>{const inside=t!==null&&t>=u.scales.x.min&&t<=u.scales.x.max;"
     "u.setCursor(inside?{left:u.valToPos(t,'x'),top:u.over.clientHeight/2}:{left:-10,top:-10},"
     "true,false)});"
-    "let began=null;"
+    "const say=text=>{const i=document.querySelector("
+    "`label[for=&quot;${window.concordTime}&quot;]`)?.closest('.mantine-Flex-root')"
+    ".querySelector('input');if(!i)return;"
+    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,text);"
+    "i.dispatchEvent(new Event('input',{bubbles:true}))},"
+    "step=new URLSearchParams(location.search).get('step');"
+    "if(step)setTimeout(()=>say('step '+step),300);let began=null;"
     "document.addEventListener('pointermove',e=>{const over=e.target.closest?.('.u-over'),"
     "bin=e.target.closest?.('.bin');"
     "if(over){const u=of(over);if(u)strip(timeOf(u,e))}"
@@ -58,18 +64,23 @@ _SCRIPT = (
     "document.addEventListener('pointerdown',e=>{began=e.target.closest?.('.u-over')?e:null},true);"
     "document.addEventListener('pointerup',e=>{const over=e.target.closest?.('.u-over');"
     "if(!began||!over||e.button||Math.hypot(e.clientX-began.clientX,e.clientY-began.clientY)>4)"
-    "return;const u=of(over),i=document.querySelector("
-    "`label[for=&quot;${window.concordTime}&quot;]`)?.closest('.mantine-Flex-root').querySelector('input');if(!u||!i)return;"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,"
-    "timeOf(u,e)+' '+Date.now());i.dispatchEvent(new Event('input',{bubbles:true}))},true)}"
+    "return;const u=of(over);if(u)say(timeOf(u,e)+' '+Date.now())},true)}"
 )
 
 
 class TimeCursor:
-    """Calls `seek(time_s)` in viser's event loop for each press in a chart."""
+    """Calls `seek(time_s)` in viser's event loop for each press in a chart.
 
-    def __init__(self, gui: viser.GuiApi, seek: Callable[[float], None]) -> None:
-        self._seek = seek
+    An address with `step=40` calls `seek_step(40)` when its page opens.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        seek: Callable[[float], None],
+        seek_step: Callable[[int], None],
+    ) -> None:
+        self._seek, self._seek_step = seek, seek_step
         text: Any = gui.add_text("time", "")
         identity = text._impl.uuid
         gui.add_html(
@@ -80,8 +91,11 @@ class TimeCursor:
 
     def _hear(self, event: Any) -> None:
         # Every user who can open the page can write any text here.
-        words = event.target.value.split()[:1]
+        words = event.target.value[:60].split()
         try:
-            self._seek(float(words[0][:30]))
+            if words[0] == "step":
+                self._seek_step(max(0, int(words[1][:9])))
+            else:
+                self._seek(float(words[0]))
         except (ValueError, IndexError):
             return

@@ -73,7 +73,7 @@ def simulation_testing(
         draw_case(seeds[0], fields)
         if output.most is not None and output.most < 1:
             raise ValueError(f"--most {output.most}: must be at least 1")
-    chosen = seeds if output.most is None else _covering(seeds, output.most, fields)
+    chosen = seeds if output.most is None else _covering(seeds, output.most, fields, output.json)
     _of_seeds(
         partial(_run_seed, fields),
         chosen,
@@ -83,9 +83,11 @@ def simulation_testing(
     )
 
 
-def _covering(seeds: range, most: int, fields: dict[str, Any]) -> list[int]:
+def _covering(
+    seeds: range, most: int, fields: dict[str, Any], as_json: bool
+) -> list[int]:
     """Return the seeds whose cases together reach the most states, and say how many."""
-    with progress("cases drawn", len(seeds)) as on_seeds:
+    with progress("cases drawn", len(seeds), as_json=as_json) as on_seeds:
         found: dict[int, frozenset[State]] = {}
         for seed in seeds:
             found[seed] = states_of(draw_case(seed, fields))

@@ -11,6 +11,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.bids import asked
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.lane_rule import (
+    AveragesShares,
     Held,
     LaneContent,
     LaneRule,
@@ -116,6 +117,14 @@ class AtNode(Generic[Own, Held, Share]):
     def ages(self, content: LaneContent[Own, Held]) -> np.ndarray:
         """Cycles since the last share of each neighbour was sent; -1 is never."""
         return self.rule.ages(content)
+
+    def weights(self, content: LaneContent[Own, Held]) -> np.ndarray | None:
+        """Weights (J,) of the neighbours in the last round, of a rule that averages."""
+        return self._averaging.weights(self.place, content) if self._averaging else None
+
+    @cached_property
+    def _averaging(self) -> AveragesShares | None:
+        return self.rule if isinstance(self.rule, AveragesShares) else None
 
 
 def _placed(values: np.ndarray, heard: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.fusion.averaging import Averaged
+from concord.filters.fusion.averaging import Averaged, Directly
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.rules.lane_rule import (
@@ -51,10 +51,12 @@ class OwnBelief(NamedTuple):
 
 
 class HeldBeliefs(NamedTuple):
-    """The last shares of neighbours (..., J, n), and cycles since they were sent (..., J)."""
+    """The last shares of neighbours (..., J, n), cycles since they were sent (..., J), and the
+    weights (..., J) that they had in the last round."""
 
     beliefs: Gaussian
     ages: np.ndarray
+    weights: np.ndarray
 
 
 BeliefContent = LaneContent[OwnBelief, HeldBeliefs]
@@ -75,7 +77,8 @@ class BeliefConsensus:
 
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> BeliefContent:
         """The prior, and neighbours never heard (their place holds the prior at no weight)."""
-        nobody = HeldBeliefs(held, np.full(held.mean.shape[:-1], -1))
+        places = held.mean.shape[:-1]
+        nobody = HeldBeliefs(held, np.full(places, -1), np.zeros(places))
         return LaneContent(OwnBelief(prior, nothing_published(prior)), nobody, 0)
 
     def begin_step(
@@ -103,7 +106,8 @@ class BeliefConsensus:
             kept = others[0]
             # A held pair that cannot be carried on is forgotten, not used at a wrong time.
             ages = held.ages if kept.sound.all() else np.where(kept.sound, held.ages, -1)
-            held = HeldBeliefs(where(kept.sound, kept.beliefs, held.beliefs), ages)
+            known = where(kept.sound, kept.beliefs, held.beliefs)
+            held = held._replace(beliefs=known, ages=ages)
         if len(others) > 1:
             own = own._replace(published=own.published.moved(others[1]))
         return own, held, failures
@@ -134,12 +138,13 @@ class BeliefConsensus:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         own, before, cycles, _ = content
         if heard.all():
-            held = HeldBeliefs(shares, np.zeros(heard.shape, dtype=np.int64))
+            beliefs, ages = shares, np.zeros(heard.shape, dtype=np.int64)
         else:
             ages = np.where(heard, 0, older(before.ages))
-            held = HeldBeliefs(where(heard, shares, before.beliefs), ages)
-        weights = self._weights(place.weights, held.ages, cycles)
-        fused = self.average.fuse(own.belief, held.beliefs, weights, self.hold.by_inverse_volume)
+            beliefs = where(heard, shares, before.beliefs)
+        weights = self._weights(place.weights, ages, cycles)
+        fused = self.average.fuse(own.belief, beliefs, weights, self.hold.by_inverse_volume)
+        held = HeldBeliefs(beliefs, ages, fused.weights[..., 1:])
         unsound = np.isnan(fused.inverse_volume[..., 1:])
         if unsound.any() and (unsound := heard & unsound).any():
             # Few shares fail this check, and what is held instead is weighed in a second go.
@@ -177,6 +182,11 @@ class BeliefConsensus:
     def ages(self, content: BeliefContent) -> np.ndarray:
         """Cycles since each neighbour's held pair was sent."""
         return content.held.ages
+
+    def weights(self, place: Place, content: BeliefContent) -> np.ndarray | None:
+        """Weights of the held shares (..., J) in the last round, volumes included."""
+        # A function of beliefs and weights may do anything with them.
+        return None if isinstance(self.average, Directly) else content.held.weights
 
 
 def _with_own(ages: np.ndarray) -> np.ndarray:

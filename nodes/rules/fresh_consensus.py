@@ -9,8 +9,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from concord.filters.fusion.hold import renormalise
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, symmetrise
+from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.lane_rule import (
     Failures,
     LaneContent,
@@ -177,6 +179,14 @@ class FreshConsensus:
     def ages(self, content: FreshContent) -> np.ndarray:
         """Cycles since a share of each neighbour was last used."""
         return content.held.ages
+
+    def weights(self, place: Place, content: FreshContent) -> np.ndarray | None:
+        """Weights (..., J) of the shares of the last round, where a round is their average."""
+        if not isinstance(self.exchange, InformationRounds):
+            return None
+        ages = content.held.ages
+        own = np.zeros((*ages.shape[:-1], 1), dtype=ages.dtype)
+        return renormalise(place.weights, np.concatenate((own, ages), axis=-1))[..., 1:]
 
 
 def believable(belief: Gaussian) -> np.ndarray:

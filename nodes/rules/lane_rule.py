@@ -9,7 +9,7 @@ values one by one, so that they take both.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
@@ -141,6 +141,15 @@ class LaneRule(Protocol[Own, Held, Share]):
 
     def ages(self, content: LaneContent[Own, Held]) -> np.ndarray:
         """Cycles since the share of each neighbour was sent (..., J); -1 is never."""
+        ...
+
+
+@runtime_checkable
+class AveragesShares(Protocol):
+    """A rule whose rounds are weighted averages."""
+
+    def weights(self, place: Place, content: Any) -> np.ndarray | None:
+        """Weights (..., J) of the neighbours in the last round; None for rounds of another kind."""
         ...
 
 

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.app import Dashboard
 from concord.dashboard.serve import open_recording
@@ -30,8 +32,12 @@ _MIDDLE = (
     "selector=>{const box=document.querySelector(selector)?.getBoundingClientRect();"
     "return box&&[box.x+box.width/2,box.y+box.height/2]}"
 )
-# One in three pages says so when the pointer passes a batched mesh; nothing is wrong on screen.
-_HARMLESS = ("glDrawElementsInstanced", "GPU stall", "THREE.Clock", "GL Driver Message")
+# One in three pages says so when the pointer passes a batched mesh, and each at a drag; nothing is
+# wrong on screen.
+_HARMLESS = (
+    "glDrawElementsInstanced", "GPU stall", "THREE.Clock", "GL Driver Message",
+    "preventDefault inside passive",
+)  # fmt: skip
 
 
 def row_of(node: int) -> str:
@@ -177,7 +183,31 @@ class Page:
         self.page.evaluate("()=>document.activeElement.blur()")
         self.page.keyboard.press(key)
 
+    def pixels(self, places: np.ndarray) -> list[tuple[float, float]]:
+        """Where points of the scene (P, 3) are on the screen."""
+        client = next(iter(self.dashboard.server.get_clients().values()))
+        canvas = self.page.locator("canvas").first.bounding_box()
+        return [_pixel(client.camera, place, canvas) for place in places]
+
     def close(self) -> None:
         """End both."""
         self.page.close()
         self.dashboard.close()
+
+
+def _pixel(camera, place: np.ndarray, canvas: dict[str, float]) -> tuple[float, float]:
+    """Where a point of the scene is on the screen: a pinhole camera that looks along z."""
+    w, x, y, z = camera.wxyz
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    right, down, ahead = turn.T @ (place - camera.position)
+    focal = canvas["height"] / 2 / np.tan(camera.fov / 2)
+    return (
+        float(canvas["x"] + canvas["width"] / 2 + focal * right / ahead),
+        float(canvas["y"] + canvas["height"] / 2 + focal * down / ahead),
+    )

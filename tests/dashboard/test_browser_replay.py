@@ -267,34 +267,13 @@ def test_what_anybody_writes_into_the_bridge_is_a_node_or_nothing(page: Page):
 
 
 def test_a_click_on_a_node_in_the_scene_selects(page: Page):
-    client = next(iter(page.dashboard.server.get_clients().values()))
     frame = page.dashboard.history.at(30)
     places = page.dashboard.page.scene.plant.node_places(frame, [frame])
-    canvas = page.page.locator("canvas").first.bounding_box()
-    assert canvas
-    seen = [_pixel(client.camera, place, canvas) for place in places]
+    seen = page.pixels(places)
     # The node must be one that no panel covers.
     node = min(range(len(seen)), key=lambda i: abs(seen[i][0] - 450) + abs(seen[i][1] - 260))
     page.page.mouse.click(*seen[node])
     page.until(lambda: is_selected(page, node))
-
-
-def _pixel(camera, place: np.ndarray, canvas: dict[str, float]) -> tuple[float, float]:
-    """Where a point of the scene is on the screen: a pinhole camera that looks along z."""
-    w, x, y, z = camera.wxyz
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    right, down, ahead = turn.T @ (place - camera.position)
-    focal = canvas["height"] / 2 / np.tan(camera.fov / 2)
-    return (
-        float(canvas["x"] + canvas["width"] / 2 + focal * right / ahead),
-        float(canvas["y"] + canvas["height"] / 2 + focal * down / ahead),
-    )
 
 
 def test_choices(page: Page):
@@ -345,7 +324,7 @@ def test_dark_and_light(page: Page):
 
 
 def test_exports(page: Page):
-    scene = page.download("Animated scene (.html)").decode()
+    scene = page.download("Run (.html)").decode()
     assert scene.lstrip().lower().startswith("<!doctype html")
     assert len(scene) > 200_000
     charts = page.download("Charts (.html)").decode()

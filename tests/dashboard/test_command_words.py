@@ -96,11 +96,11 @@ def test_changes_of_a_paused_network_wait_in_words_until_its_next_step(
     page: Dashboard, source: Scripted
 ):
     told: list[str] = []
-    page.controls._commands.tell = lambda client, title, body, trouble: told.append(body)
+    page.controls.commands.tell = lambda client, title, body, trouble: told.append(body)
     assert holds(page, lambda: "PAUSED" in page.controls.status.content)
     assert "waiting" not in page.controls.status.content
     for command in ({"do": "kill", "node": 2}, {"do": "cut", "sender": 1, "receiver": 7}):
-        page.controls._commands.send(command, None)
+        page.controls.commands.send(command, None)
     words = "2 changes from the next step on: kill node 02; cut the link between 01 and 07"
     assert holds(page, lambda: words in page.controls.status.content)
     assert told[0] == "Kill node 02. It holds from the next step, which waits for Step or Resume."

@@ -11,7 +11,9 @@ import pytest
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.frames.expected import nothing_expected
 from concord.dashboard.frames.replay import replayed
+from concord.dashboard.panels.chart import Curve, Drawn, Sample
 from concord.dashboard.panels.chart_export import charts_page
+from concord.dashboard.panels.chart_table import run_charts
 from concord.dashboard.panels.charts import sampled
 from concord.dashboard.panels.export import animated_scene, zipped
 from concord.dashboard.scene.camera import Free, aimed
@@ -33,16 +35,17 @@ _BELIEVED = (
     "()=>Array.from(window.__viserSceneTree.getState()['/plant/estimates']"
     "?.message.props.batched_positions ?? []).join()"
 )
+_TOLD = "(words)=>document.getElementById('told').textContent.startsWith(words)"
 CHART_TITLES = ("RMSE", "Disagreement", "NEES", "NIS", "Payload")
 
 
-def opened(chromium: Any, file: Path) -> tuple[Any, list[str]]:
+def opened(chromium: Any, file: Path, query: str = "") -> tuple[Any, list[str]]:
     """A page on a file, and what it complains of; nothing but files may be loaded."""
     page = chromium.new_page(viewport={"width": 800, "height": 600})
     troubles: list[str] = []
     page.on("pageerror", lambda error: troubles.append(str(error)))
     page.on("request", lambda request: _note_outside(request.url, troubles))
-    page.goto(file.as_uri())
+    page.goto(file.as_uri() + query)
     return page, troubles
 
 
@@ -66,6 +69,58 @@ def test_the_animated_scene_is_a_page_that_moves_by_itself(chromium, tmp_path: P
         page.keyboard.press("Space")
         picture = _pixels(page.screenshot(timeout=60_000))
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20, "it is not blank"
+        assert troubles == []
+    finally:
+        page.close()
+
+
+def test_scene_bus_and_charts_of_an_exported_run_scrub_together(chromium, tmp_path: Path):
+    view = View(theme=LIGHT, step=29)
+    times = np.array([frame.time_s for frame in FRAMES])
+    sample = Sample(STAGE, view, FRAMES, times, nothing_expected(times))
+    charts = [
+        Drawn(
+            f"{chart.name} </script>",
+            times,
+            tuple(Curve(one.name, (9, 9, 9), False, one.column(sample)) for one in chart.lines),
+        )
+        for chart in run_charts(STAGE)
+    ]
+    camera = aimed(STAGE.in_scene(STAGE.whereabouts), Free(800.0, 600.0, 20.0, 20.0, 380.0, 380.0))
+    file = tmp_path / "run.html"
+    file.write_text(animated_scene(STAGE, view, FRAMES, camera, charts))
+    page, troubles = opened(chromium, file, "?step=12")
+
+    def told() -> str:
+        return page.get_by_test_id("told").text_content() or ""
+
+    def cursors() -> set[float]:
+        lines = page.locator("aside .cursor").all()
+        return {float(line.get_attribute("x1") or -1) for line in lines}
+
+    try:
+        page.wait_for_function(_DRAWN, timeout=60_000)
+        page.wait_for_function(_TOLD, arg="step 12,", timeout=60_000)
+        assert f"RMSE {FRAMES[12].scores.rmse:.3g} m" in told()
+        assert page.get_by_test_id("bus-cycle").text_content() == str(
+            FRAMES[12].cycles[-1].bus_cycle
+        )
+        assert len(cursors()) == 1, "all charts mark the same time"
+        before, believed = cursors(), page.evaluate(_BELIEVED)
+        chart = page.locator("aside svg").nth(1)
+        box = chart.bounding_box()
+        assert box
+        # Step 25 of 0 to 29 lies there on the axis of time, which begins at 44 of 380 and ends at
+        # 372.
+        chart.click(position={"x": box["width"] * (44 + 328 * 25 / 29) / 380, "y": 40})
+        page.wait_for_function(_TOLD, arg="step 25,", timeout=60_000)
+        assert cursors() != before
+        assert page.get_by_test_id("bus-cycle").text_content() == str(
+            FRAMES[25].cycles[-1].bus_cycle
+        )
+        page.wait_for_function(
+            f"(before)=>({_BELIEVED})() !== before", arg=believed, timeout=60_000
+        )
         assert troubles == []
     finally:
         page.close()

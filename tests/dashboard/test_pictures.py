@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from concord.dashboard.explain.selected import selected_panel
 from concord.dashboard.frames.conditions import conditions, oldest, sender_at
 from concord.dashboard.frames.frame import LogEntry
-from concord.dashboard.panels.selected import selected_panel
 from concord.dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH, Axis, slot
@@ -139,7 +139,7 @@ def test_text_from_outside_is_escaped(theme):
     told = LogEntry(3, "node <script>alert(2)</script> is down", 0, True)
     bad = FRAME._replace(rejection=("<script>x</script>",) * 8)
     pages = [
-        node_table(EVIL, view, bad), log(theme, [told]), selected_panel(EVIL, view, FRAME),
+        node_table(EVIL, view, bad), log(theme, [told]), selected_panel(EVIL, view, [FRAME]),
         zoom(EVIL, theme, FRAME, (0, 2), 0), timeline(stage=EVIL),
         status(EVIL, theme, FRAME, "RUNNING", "<script>"),
     ]  # fmt: skip

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
+from concord.dashboard.explain.help import HEADINGS, help_panel
 from concord.dashboard.frames.expected import Expected, nothing_expected
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.verdict import STEPS, verdict
-from concord.dashboard.panels.help import HEADINGS, help_panel
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
 from tests.dashboard.runs import frames_of, run_of

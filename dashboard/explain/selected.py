@@ -1,23 +1,33 @@
-"""The selected node in detail: what it believes of every state, whom it hears and how freshly."""
+"""The selected node in detail: its belief of each state, and the shares that made it."""
 
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
+from concord.dashboard.explain.explanation import explanation
 from concord.dashboard.frames.conditions import conditions
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.theme import css
 from concord.dashboard.view import View
 
+_HEADINGS = {
+    "state": "state of the plant",
+    "estimate": "mean of the belief of the node",
+    "3σ": "three standard deviations as the node believes, or the half-width of its set",
+    "error": "estimate less truth; red where it is larger than the node believes",
+    "unit": "unit of the state",
+}
 
-def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
-    """HTML; asks for a selection where there is none."""
-    theme, node = view.theme, view.selected
+
+def selected_panel(stage: Stage, view: View, past: Sequence[StepFrame]) -> str:
+    """Return the belief of the selected node in the last of these frames, and what made it."""
+    theme, node, frame = view.theme, view.selected, past[-1]
     if node is None:
         return (
             f'<div style="font-size:12px;padding:4px 10px;color:{css(theme.quiet)}">'
-            "click a node in the scene, in the table or on the bus</div>"
+            "click a node in the scene or on the bus, or a number in the table</div>"
         )
     rows = []
     for index, (name, unit) in enumerate(zip(stage.state_names, stage.state_units, strict=True)):
@@ -30,24 +40,16 @@ def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
             f"<tr><td>{escape(name)}</td><td>{mean:.5g}</td><td>±{wide:.3g}</td>"
             f'<td style="color:{colour}">{off:+.3g}</td><td>{escape(unit)}</td></tr>'
         )
-    heard = []
-    for position in np.flatnonzero(stage.heard[:, 0] == node):
-        sender, age = int(stage.heard[position, 1]), int(frame.ages[position])
-        lost = frame.lost[position]
-        when = "never" if age < 0 else f"{age} cycles"
-        colour = css(theme.down if lost else theme.text)
-        heard.append(
-            f'<span style="color:{colour};margin-right:10px;white-space:nowrap">'
-            f"{escape(stage.names[sender])}: {when}{' (newest lost)' if lost else ''}</span>"
-        )
     word = conditions(stage, frame)[node]
     spread = "set" if stage.set_valued else "3σ"
+    heads = "".join(
+        f'<th title="{meaning}">{spread if head == "3σ" else head}</th>'
+        for head, meaning in _HEADINGS.items()
+    )
     return (
         '<div data-testid="selected" style="font-size:12px;padding:4px 10px;color:'
         f'{css(theme.text)}"><b>node {escape(stage.names[node])}</b> is {word}'
         f'<table style="width:100%;text-align:right;'
         f'margin:6px 0;font-variant-numeric:tabular-nums"><tr style="color:{css(theme.quiet)}">'
-        f"<th>state</th><th>estimate</th><th>{spread}</th><th>error</th>"
-        f'<th></th></tr>{"".join(rows)}</table><div style="color:{css(theme.quiet)}">age of what '
-        f"it holds</div>{''.join(heard)}</div>"
+        f"{heads}</tr>{''.join(rows)}</table>{explanation(theme, past, node)}</div>"
     )

@@ -2,6 +2,7 @@
 
 from html import escape
 
+from concord.dashboard.explain.tooltips import CHARTS
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.verdict import STEPS
 from concord.dashboard.scene.legend import meanings
@@ -28,13 +29,6 @@ _VERDICTS = {
     "OVERCONFIDENT": "errors are larger than the nodes believe, by the factor shown",
     "DISAGREEING": "estimates differ by more than the nodes believe",
 }
-_CHARTS = {
-    "RMSE": "root mean square error of the nodes; centralised is one filter that hears every "
-    "sensor; no filter beats the Cramér-Rao bound on the average",
-    "Disagreement": "root mean square distance of the estimates from their mean",
-    "NEES": "normalised estimation error squared; consistent nodes stay between the dashed lines",
-    "Payload": "bytes of shares on the bus",
-}
 _KEYS = {
     "P": "pause or resume", "N, B": "one step on, one back", "G": "newest step",
     "I, O": "loop from here, to here", "J, K": "next, previous node",
@@ -54,7 +48,7 @@ def help_panel(view: View, frame: StepFrame) -> str:
         f'<div data-testid="help" style="font-size:11.5px;line-height:1.45;padding:4px 10px;'
         f'color:{css(theme.text)}">{_heading(theme, "In the scene")}{marks}'
         f"{_words(theme, f'Verdict on the last {STEPS} steps', _VERDICTS)}"
-        f"{_words(theme, 'Table of nodes', HEADINGS)}{_words(theme, 'Charts', _CHARTS)}"
+        f"{_words(theme, 'Table of nodes', HEADINGS)}{_words(theme, 'Charts', CHARTS)}"
         f"{_words(theme, 'Keys', _KEYS)}</div>"
     )
 

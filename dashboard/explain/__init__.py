@@ -1,0 +1,1 @@
+"""Explanations of the page: help, tooltips, and the shares that made a number."""

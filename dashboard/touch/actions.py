@@ -1,0 +1,44 @@
+"""Commands that a menu offers for a node or a link: labels, and the words behind each."""
+
+import numpy as np
+
+from concord.dashboard.frames.frame import StepFrame
+
+_ALIVE = {"kill": "kill {0}", "lie": "lie {0} 5 4", "honest": "lie {0} 0 1", "hang": "hang {0} 5"}
+_DOWN = {"restart": "restart {0}"}
+_UP = {
+    "cut": "cut {0} {1}", "lose 30 %": "loss 0.3 {0} {1}", "lose none": "loss 0 {0} {1}",
+    "corrupt 5 %": "corrupt 0.05 {0} {1}",
+}  # fmt: skip
+_CUT = {"heal": "heal {0} {1}"}
+
+
+def actions(frame: StepFrame, nodes: tuple[int, ...]) -> dict[str, str]:
+    """Return the commands for a node, or for the link between two, by their labels."""
+    if len(nodes) == 1:
+        offered = _ALIVE if frame.alive[nodes[0]] else _DOWN
+    else:
+        offered = _CUT if is_cut(frame, nodes) else _UP
+    return {label: words.format(*nodes) for label, words in offered.items()}
+
+
+def is_cut(frame: StepFrame, ends: tuple[int, ...]) -> bool:
+    """Return whether the link between two nodes is cut."""
+    is_it = (np.sort(frame.stage.edges, axis=1) == sorted(ends)).all(axis=1)
+    return bool(frame.cut[is_it].any())
+
+
+def drawn_link(frame: StepFrame, ends: tuple[int, int]) -> str:
+    """Return the command for a link that a hand draws: it heals one that is cut, and cuts others.
+
+    Raises:
+        ValueError: the network has no such link, and no word for a new one.
+    """
+    stage = frame.stage
+    if not (np.sort(stage.edges, axis=1) == sorted(ends)).all(axis=1).any():
+        one, other = (stage.names[node] for node in ends)
+        raise ValueError(
+            f"a link between {one} and {other}: they are no neighbours, and a running network "
+            "takes no new link; choose another --graph before the run"
+        )
+    return f"{'heal' if is_cut(frame, ends) else 'cut'} {ends[0]} {ends[1]}"

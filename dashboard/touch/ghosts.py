@@ -1,0 +1,77 @@
+"""Ghosts in the scene: changes that wait for the next step, and a link while a hand draws it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+
+from concord.dashboard.scene import geometry
+from concord.dashboard.scene.plants import add_lines, paint
+from concord.dashboard.theme import Theme
+
+_RING = np.linspace(0.0, 2 * np.pi, 33)
+
+
+class PendingGhosts:
+    """Dashed lines and words where something is about to change."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._lines = add_lines(scene, "/pending/lines", 3.0)
+        self._drawing = add_lines(scene, "/pending/drawing", 3.0)
+        self._labels: list[Any] = []
+        self._shown: object = None
+
+    def draw(
+        self, theme: Theme, at: np.ndarray, radius: float, waiting: Sequence[Mapping[str, Any]]
+    ) -> None:
+        """Show the commands that wait, where the nodes are at (N, 3)."""
+        shown = (theme.dark, at.round(2).tobytes(), str(waiting))
+        if shown == self._shown:
+            return
+        self._shown = shown
+        for label in self._labels:
+            label.remove()
+        segments, self._labels = [], []
+        for number, command in enumerate(waiting):
+            nodes = nodes_of(command)
+            if not nodes:
+                continue
+            segments.append(_outline(at, radius, nodes))
+            place = at[list(nodes[:2])].mean(axis=0)
+            place[2] += 1.5 * radius
+            words = str(command.get("kind", command["do"]))
+            self._labels.append(
+                self._scene.add_label(
+                    f"/pending/word{number}", f"next step: {words}", position=tuple(place),
+                    anchor="bottom-left", font_screen_scale=0.85,
+                )
+            )  # fmt: skip
+        drawn = np.concatenate(segments) if segments else np.zeros((0, 2, 3))
+        paint(self._lines, drawn, np.array(theme.selection))
+
+    def follow(self, theme: Theme, start: np.ndarray, end: np.ndarray) -> None:
+        """Show the link that a hand draws from one point (3,) to another."""
+        paint(self._drawing, geometry.dashed(np.array([[start, end]])), np.array(theme.selection))
+
+    def let_go(self) -> None:
+        """Show no such link."""
+        self._drawing.visible = False
+
+
+def nodes_of(command: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return the node or the ends of the link that a command names; none for the whole network."""
+    if "node" in command:
+        return (int(command["node"]),)
+    if command.get("sender") is not None:
+        return int(command["sender"]), int(command["receiver"])
+    return tuple(map(int, command.get("nodes", ())))
+
+
+def _outline(at: np.ndarray, radius: float, nodes: tuple[int, ...]) -> np.ndarray:
+    """Return dashes (S, 2, 3): a line for a link, and a ring about each node of anything else."""
+    if len(nodes) == 2:
+        return geometry.dashed(at[np.newaxis, list(nodes)], 9)
+    flat = np.stack([np.cos(_RING), np.sin(_RING), np.zeros_like(_RING)], axis=-1)
+    return np.concatenate([geometry.path(at[node] + 2.2 * radius * flat)[::2] for node in nodes])

@@ -1,0 +1,94 @@
+"""Changes by the hand: what a ray meets, what is offered there, and the script of it all."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from concord.dashboard.touch.actions import actions, drawn_link
+from concord.dashboard.touch.ghosts import nodes_of
+from concord.dashboard.touch.picking import pick
+from concord.dashboard.touch.script import as_option, script_of
+from concord.nodes.commands import in_words
+from concord.runtime.drivers import in_memory
+from tests.dashboard.runs import frames_of, run_of, setup_of
+
+CHANGES = (
+    "3 kill 5", "4 cut 0 1", "5 cut 2 1 one-way", "6 loss 0.2 3 4", "7 loss 0.1", "8 restart 5",
+    "9 corrupt 0.05 1 2", "10 lie 3 5 4", "11 heal 0 1", "12 set rule=wac rounds=2", "14 calm",
+    "15 set rounds=1",
+)  # fmt: skip
+
+
+def script_after(changes: tuple[str, ...]) -> tuple[list[str], list[tuple[str, bytes]]]:
+    stage, messages = run_of("target-tracking", nodes=8, steps=18, graph="ring", changes=changes)
+    frames = frames_of(stage, messages)
+    return script_of(event for frame in frames for event in frame.events), messages
+
+
+def test_the_script_of_a_run_gives_the_same_run():
+    script, messages = script_after(CHANGES)
+    assert script == list(CHANGES)
+    again = in_memory(
+        setup_of("target-tracking", nodes=8, steps=18, graph="ring", changes=tuple(script))
+    )
+    assert again == messages
+    assert as_option(script[:2]) == '--changes "3 kill 5" "4 cut 0 1"'
+
+
+def test_a_partition_is_told_link_by_link():
+    script, messages = script_after(("3 partition 0 1",))
+    assert sorted(script) == ["3 cut 2 1", "3 cut 7 0"]
+    # The links are announced in another order, and nothing else differs.
+    told = [[one for one in run if one[0].startswith(("estimate", "share"))] for run in
+            (messages, script_after(tuple(script))[1])]  # fmt: skip
+    assert told[0] and told[0] == told[1]
+
+
+STAGE, MESSAGES = run_of(
+    "target-tracking", nodes=8, steps=6, graph="ring", changes=("2 kill 5", "2 cut 1 2")
+)
+FRAME = frames_of(STAGE, MESSAGES)[-1]
+SEEN = np.array([0.0, 0.0, 30.0])
+
+
+@given(st.integers(0, 7), st.floats(0, 2 * np.pi), st.floats(0, 1.2))
+def test_a_ray_that_passes_close_to_a_node_meets_it(node: int, turn: float, off: float):
+    at, radius = STAGE.in_scene(STAGE.positions(0), 0.15), 0.4
+    aside = np.array([np.cos(turn), np.sin(turn), 0.0]) * off * radius
+    picked = pick(SEEN, at[node] + aside - SEEN, at, STAGE.edges, radius)
+    assert picked is not None
+    near = np.linalg.norm(at[picked.nodes[0]] - at[node])
+    assert picked.nodes == (node,) or near < 2.8 * radius
+
+
+@pytest.mark.parametrize("link", range(8))
+def test_a_ray_at_the_middle_of_a_link_meets_it_or_what_covers_it(link: int):
+    turn = 2 * np.pi * np.arange(8) / 8
+    at = 8 * np.stack([np.cos(turn), np.sin(turn), np.zeros(8)], axis=-1)
+    ends = STAGE.edges[link]
+    middle = at[ends].mean(axis=0)
+    picked = pick(SEEN, middle - SEEN, at, STAGE.edges, 0.4)
+    assert picked is not None and picked.nodes == tuple(ends)
+    assert pick(SEEN, np.array([0.0, 0.0, 1.0]), at, STAGE.edges, 0.4) is None
+    assert pick(SEEN, np.array([50.0, 0.0, -30.0]), at, STAGE.edges, 0.4) is None
+
+
+@pytest.mark.parametrize(
+    ("nodes", "labels"),
+    [((3,), "kill"), ((5,), "restart"), ((1, 2), "heal"), ((2, 3), "cut")],
+)
+def test_each_action_is_a_command_about_what_was_touched(nodes: tuple[int, ...], labels: str):
+    offered = actions(FRAME, nodes)
+    assert labels in offered
+    for words in offered.values():
+        command = in_words(words.split())
+        assert set(nodes_of(msgspec.to_builtins(command))) == set(nodes)
+
+
+def test_a_drawn_link_cuts_or_heals_and_no_new_one_is_promised():
+    assert drawn_link(FRAME, (2, 1)) == "heal 2 1"
+    assert drawn_link(FRAME, (2, 3)) == "cut 2 3"
+    with pytest.raises(ValueError, match="no neighbours"):
+        drawn_link(FRAME, (0, 4))
