@@ -14,6 +14,8 @@ REFERENCE = math.sqrt(0.5)
 """Range at which the detection probability is the one asked for, in fields of view: half of the
 field's area is nearer."""
 MOST_CLUTTER = 200
+_NOISE_BEYOND = 4
+"""Standard deviations of noise that may take a detection beyond the field of view."""
 LEAST_CLUTTER = 0.01
 """Expected clutter of a scan that a tracker assumes at least: none would make each detection a
 target."""
@@ -38,6 +40,7 @@ class ScanningSensor:
     clutter: float = 5.0  # expected number of clutter detections in a scan
     field_of_view_m: float = 350.0
     speed_std_m_s: float = 10.0  # of each velocity of a target of which nothing is known
+    reach_m: float = math.inf  # beyond it the scan that was received says nothing
 
     def __post_init__(self) -> None:
         if not FALSE_ALARM < self.detection < 1:
@@ -55,6 +58,11 @@ class ScanningSensor:
         """Covariance (2, 2) of a detection."""
         return np.diag(self.sensor.noise_std**2)
 
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest range in m and bearing in rad of nearly all detections, (2,) each."""
+        farthest = self.field_of_view_m + _NOISE_BEYOND * self.sensor.range_std_m
+        return np.array([0.0, -math.pi]), np.array([farthest, math.pi])
+
     def measure(self, state: np.ndarray) -> np.ndarray:
         """Range and bearing (..., 2) of states (..., 4), without noise."""
         return self.sensor.measure(state, 0)
@@ -64,13 +72,13 @@ class ScanningSensor:
         return self.sensor.residual(a, b)
 
     def detection_probability(self, state: np.ndarray) -> np.ndarray:
-        """Return that of states (..., 4): (...); 0 beyond the field of view."""
+        """Return that of states (..., 4): (...); 0 beyond the field of view or the reach."""
         fields = self.measure(state)[..., 0] / self.field_of_view_m
         echo = math.log(FALSE_ALARM) / math.log(self.detection) - 1
         # 1 / (1 + S), written so that a target at the sensor divides by nothing.
         ratio = (fields / REFERENCE) ** 4
         probability = FALSE_ALARM ** (ratio / (ratio + echo))
-        return np.where(fields > 1, 0.0, probability)
+        return np.where(fields > min(1.0, self.reach_m / self.field_of_view_m), 0.0, probability)
 
     def clutter_density(self, detections: np.ndarray) -> np.ndarray:
         """Return the expected clutter (D,) per m and rad: uniform over the area of the field."""

@@ -58,6 +58,11 @@ class TrackLog:
         self._scored.append(found)
         self._ospa_m.append(ospa(truth, estimates, CUTOFF_M, ORDER))
 
+    @property
+    def is_begun(self) -> bool:
+        """Whether any step was added."""
+        return bool(self._scored)
+
     def scores(self) -> TrackingScores:
         """Return the scores of all steps."""
         distance, localisation, missed, false, assigned = zip(*self._scored, strict=True)
