@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.progress import progress
+from concord.experiments.results.folder import make_folder
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.tracking.swarm_run import SwarmRun, run_swarm
@@ -44,6 +46,8 @@ class TrackOptions:
     alone: bool = False
     """Let each node compute its own tracks, from scans in an order of its own, and compare the bits
     of nodes with equal records. Otherwise these share one computation, which saves time."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for the tracks, tracks_<run>.nc each; it must not exist."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     json: bool = False
@@ -61,6 +65,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
             raise ValueError(f"--runs {options.runs}: must be 1 or more")
         options.swarm.check()
         engine = engine_for(1 if options.runs == 1 else options.workers, None)
+        folder = None if options.out is None else make_folder(options.out, "")
     cases = [
         dataclasses.replace(options.swarm, run=options.swarm.run + number)
         for number in range(options.runs)
@@ -68,7 +73,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
     found: dict[int, SwarmRun] = {}
     try:
         with progress("runs", options.runs) as on_runs:
-            for place, run in engine(partial(run_swarm, alone=options.alone), cases):
+            for place, run in engine(partial(run_swarm, alone=options.alone, folder=folder), cases):
                 found[place] = run
                 on_runs(len(found))
     except WorkerLost as error:

@@ -1,6 +1,7 @@
 """One run of `target-swarm`: a centre that has all scans, and nodes that flood them over a bus."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -14,6 +15,7 @@ from concord.experiments.tracking.equal_records import (
     pairs_with_equal_records,
 )
 from concord.experiments.tracking.swarm_network import START, swarm_network
+from concord.experiments.tracking.track_file import CENTRE, write_tracks
 from concord.experiments.tracking.track_log import TrackingScores, TrackLog
 from concord.filters.tracking.tracker import Scan, TrackerSettings, track
 from concord.nodes.changes import Welcome
@@ -53,11 +55,14 @@ class SwarmRun(msgspec.Struct, frozen=True):
     compared: PairsCompared | None
 
 
-def run_swarm(swarm: TargetSwarm, alone: bool = False) -> SwarmRun:
-    """Simulate a run; `alone` lets each node compute its own tracks, and compares their bits.
+def run_swarm(swarm: TargetSwarm, alone: bool = False, folder: Path | None = None) -> SwarmRun:
+    """Simulate a run, and write its tracks into a `folder`.
+
+    `alone` lets each node compute its own tracks, and compares their bits.
 
     Raises:
         ValueError: options that no swarm can have.
+        NotWritten: the disk does not take the tracks.
     """
     swarm.check()
     truth, settings = swarm.truth(), swarm.settings()
@@ -72,11 +77,13 @@ def run_swarm(swarm: TargetSwarm, alone: bool = False) -> SwarmRun:
         watch=watch,
         script=script_of(swarm.network()),
     )
+    if folder is not None:
+        write_tracks(folder, swarm, truth, {CENTRE: centre, **dict(enumerate(watch.logs))})
     steps = [watch.steps[step] for step in sorted(watch.steps)]
     compared = [pairs_with_equal_records(one.evidence, one.bits) for one in steps]
     return SwarmRun(
-        centre,
-        mean_of([log.scores() for log in watch.logs if log.is_begun]),
+        centre.scores(),
+        mean_of([log.scores() for log in watch.logs if log.reported]),
         float(np.mean([part for one in steps for part in one.held])),
         float(np.mean([pairs_alike(one.bits) for one in steps])),
         approximated,
@@ -92,13 +99,13 @@ def run_swarm(swarm: TargetSwarm, alone: bool = False) -> SwarmRun:
 
 def _centre(
     truth: np.ndarray, scans: Sequence[Sequence[Scan]], settings: TrackerSettings
-) -> tuple[TrackingScores, int]:
+) -> tuple[TrackLog, int]:
     log, tracked, approximated = TrackLog(), START, 0
     for step, (states, of_step) in enumerate(zip(truth, scans, strict=True)):
         tracked = track(tracked.tracks, of_step, settings, step)
-        log.add(states, tracked.tracks)
+        log.add(step, states, tracked.tracks)
         approximated += tracked.approximated
-    return log.scores(), approximated
+    return log, approximated
 
 
 def _bus_time(swarm: TargetSwarm, bus: Bus) -> float:
@@ -150,10 +157,10 @@ class _Watch:
         # The digest has changed with each step that ended.
         self._last[config.index] = content.evidence
         windows = content.flooded.windows
-        first = windows.first
-        flags = flags_of(content.flooded.held, self._nodes)[first:]
-        self.logs[config.index].add(self._truth[windows.step], content.reached.tracks)
-        ended = self.steps.setdefault(windows.step, _Step([], [], []))
+        flags = flags_of(content.flooded.held, self._nodes)[windows.first :]
+        step = windows.step
+        self.logs[config.index].add(step, self._truth[step], content.reached.tracks)
+        ended = self.steps.setdefault(step, _Step([], [], []))
         ended.evidence.append(content.evidence)
         ended.bits.append(bits_of(content.reached))
         ended.held.append(float(flags.mean()))

@@ -3,14 +3,18 @@
 import dataclasses
 import json
 import math
+import re
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+import xarray
 
 from concord.experiments.tracking.swarm_run import run_swarm
 from concord.experiments.tracking.track_log import TrackLog
 from concord.filters.tracking import tracker
+from concord.filters.tracking.scores import gospa
 from concord.filters.tracking.tracks import no_tracks
 from concord.scenarios.definitions.target_swarm import TargetSwarm
 from tests.experiments.flexray_support import concord, refused
@@ -106,14 +110,66 @@ def test_shortened_scans_are_told(capsys: pytest.CaptureFixture[str]):
     assert "scans had" not in concord(capsys, "track", *crowd).out
 
 
+def test_the_file_of_tracks_gives_the_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ("track", *SMALL_WORDS, "--occupancy", "0.5", "--rounds", "1", "--json")
+    printed = json.loads(concord(capsys, *words, "-o", str(tmp_path / "kept")).out)["runs"][0]
+    swarm = TargetSwarm(**{**dataclasses.asdict(SMALL), "occupancy": 0.5, "rounds": 1})
+    with xarray.open_dataset(tmp_path / "kept" / "tracks_0.nc", decode_times=False) as file:
+        found = file.load()
+    assert found.row_size.sum() == found.sizes["obs"] and (found.row_size > 0).all()
+    assert len({*found.trajectory.values.tolist()}) == found.sizes["trajectory_number"]
+    tracker = np.repeat(found.tracker.values, found.row_size.values)
+    places = np.stack((found.x.values, found.y.values), axis=-1)
+    truth = swarm.truth()
+    for target in range(swarm.targets):
+        (number,) = np.flatnonzero(
+            (found.tracker.values == -2) & (found.identity.values[:, 0] == target)
+        )
+        end = int(found.row_size.values[: number + 1].sum())
+        rows = slice(end - int(found.row_size.values[number]), end)
+        there = np.isfinite(truth[:, target, 0])
+        assert (np.diff(found.step.values[rows]) > 0).all()
+        np.testing.assert_array_equal(found.step.values[rows], np.flatnonzero(there))
+        np.testing.assert_array_equal(places[rows], truth[there, target, ::2])
+    distances = np.array(
+        [
+            [
+                gospa(
+                    truth[step][np.isfinite(truth[step, :, 0])][:, ::2],
+                    places[(tracker == number) & (found.step.values == step)],
+                    50,
+                ).distance
+                for step in range(swarm.steps)
+            ]
+            for number in range(-1, swarm.nodes)
+        ]
+    )
+    assert distances[0].mean() == pytest.approx(printed["centre"]["gospa_m"])
+    assert distances[1:].mean() == pytest.approx(printed["nodes"]["gospa_m"])
+    assert "exists" in refused(concord(capsys, *words, "-o", str(tmp_path / "kept")))
+
+
+def test_the_page_reads_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    page = (Path(__file__).parents[2] / "docs" / "targets.md").read_text()
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (command,) = re.findall(r"^concord (track .* -o swarm)$", page, re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    concord(capsys, *command.split())
+    exec(compile(program, "docs/targets.md", "exec"), {})
+    told = capsys.readouterr().out.splitlines()
+    assert told and all(re.fullmatch(r"3/\d+-\d+-\d+: steps \d+ to \d+", one) for one in told)
+
+
 def test_scores_of_a_run_by_hand():
     log = TrackLog()
     truth = np.full((3, 2, 4), np.nan)
     truth[0, 0] = truth[1, 0] = truth[2, 0] = [0, 0, 0, 0]
     truth[1, 1] = truth[2, 1] = [200, 0, 0, 0]
-    log.add(truth[0], no_tracks(4))  # missed
-    log.add(truth[1], tracks_at(np.array([[3.0, 0, 4, 0], [500, 0, 0, 0]])))  # missed and false
-    log.add(truth[2], tracks_at(np.array([[210.0, 0, 0, 0], [0, 0, 0, 0]])))  # switched
+    log.add(0, truth[0], no_tracks(4))  # missed
+    log.add(1, truth[1], tracks_at(np.array([[3.0, 0, 4, 0], [500, 0, 0, 0]])))  # missed and false
+    log.add(2, truth[2], tracks_at(np.array([[210.0, 0, 0, 0], [0, 0, 0, 0]])))  # switched
     scores = log.scores()
     assert scores.missed == pytest.approx(2 / 3) and scores.false == pytest.approx(1 / 3)
     assert scores.localisation_m == pytest.approx(math.sqrt((25 + 100) / 3))
