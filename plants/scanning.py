@@ -41,6 +41,7 @@ class ScanningSensor:
     field_of_view_m: float = 350.0
     speed_std_m_s: float = 10.0  # of each velocity of a target of which nothing is known
     reach_m: float = math.inf  # beyond it the scan that was received says nothing
+    merge_m: float = 0.0  # detected targets at most so far apart give one detection
 
     def __post_init__(self) -> None:
         if not FALSE_ALARM < self.detection < 1:
@@ -52,6 +53,8 @@ class ScanningSensor:
             raise ValueError(
                 f"clutter {self.clutter:g}: must be 0 to {MOST_CLUTTER} detections in a scan"
             )
+        if not 0 <= self.merge_m < math.inf:
+            raise ValueError(f"merge_m {self.merge_m:g}: must be 0 m or more, and finite")
 
     @property
     def noise_cov(self) -> np.ndarray:
@@ -107,14 +110,15 @@ class ScanningSensor:
         """Detections (D, 2) of targets at `states` (K, 4), NaN where none is, and of clutter.
 
         Each target takes three numbers of the generator, whether it is there or not; the order of
-        the detections is random.
+        the detections is random. Detected targets that `merge_m` links to each other give the
+        detection of the mean of their states.
         """
         present = np.asarray(np.isfinite(states).all(axis=-1))
         chance, noise = generator.random(len(states)), generator.standard_normal((len(states), 2))
         there = np.where(present[:, None], states, 0.0)
         detected = present & (chance < self.detection_probability(there))
-        exact = self.measure(there[detected])
-        taken = exact + noise[detected] * self.sensor.noise_std
+        exact, first = self._resolved(there[detected])
+        taken = exact + noise[detected][first] * self.sensor.noise_std
         taken[:, 1] = wrapped(taken[:, 1])
         count = generator.poisson(self.clutter)
         uniform = generator.random((count, 2))
@@ -126,3 +130,15 @@ class ScanningSensor:
             axis=-1,
         )
         return generator.permutation(np.concatenate((taken, clutter)))
+
+    def _resolved(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return exact detections (D, 2) of detected targets, and the first target of each (D,)."""
+        if self.merge_m <= 0:
+            return self.measure(states), np.arange(len(states))
+        places = states[:, ::2]
+        linked = np.linalg.norm(places[:, None] - places, axis=-1) <= self.merge_m
+        for _ in range(len(states)):
+            linked = linked @ linked
+        first = np.unique(linked.argmax(axis=1)) if len(states) else np.empty(0, dtype=int)
+        groups = linked[first].astype(float)
+        return self.measure(groups @ states / groups.sum(axis=1, keepdims=True)), first

@@ -46,6 +46,8 @@ class TargetSwarm:
     """Detection probability at 0.71 of the field of view; nearer targets have more."""
     clutter: float = 5.0
     """Expected number of clutter detections in a scan."""
+    merge_m: float = 0.0
+    """Detected targets at most so far apart, in m, give a single detection; 0 for none."""
     steps: int = 100
     """Sampling instants to simulate, one second each."""
     association: str = "jpda"
@@ -98,6 +100,7 @@ class TargetSwarm:
             self.clutter,
             f"0 to {MOST_CLUTTER} detections in a scan",
         )
+        require(0 <= self.merge_m < np.inf, "merge_m", self.merge_m, "0 m or more, and finite")
         if self.association not in ASSOCIATIONS:
             raise unknown_name("association", self.association, ASSOCIATIONS)
         for step, command in script_of(self.network()):
@@ -143,7 +146,7 @@ class TargetSwarm:
     def sensors(self) -> list[ScanningSensor]:
         """The sensors of all nodes."""
         return [
-            ScanningSensor(RangeBearing(place), self.detection, self.clutter)
+            ScanningSensor(RangeBearing(place), self.detection, self.clutter, merge_m=self.merge_m)
             for place in self.positions()
         ]
 

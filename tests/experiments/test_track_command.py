@@ -59,6 +59,7 @@ def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFix
         (("--changes", "5 set rounds=2"), "--changes 5 set: tracks keep their rule and bus"),
         (("--changes", "5 kill 20"), "kill 20"),
         (("--payload-bytes", "20"), "raise --payload-bytes"),
+        (("--merge-m", "-1"), "--merge-m -1.0: must be 0 m or more"),
         (("--targets", "0"), "--targets 0: must be 1 or more"),
         (("--runs", "0"), "--runs 0: must be 1 or more"),
         (("--association", "nearst"), "unknown association 'nearst': did you mean 'nearest'"),
