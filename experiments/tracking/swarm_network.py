@@ -79,46 +79,35 @@ def swarm_network(
     setup, sensors = swarm.setup(), swarm.sensors()
     codec = _codec(setup, sensors[0])
     sensors = [_as_read(one, codec) for one in sensors]
-    shared = _kept(swarm, partial(_track_records, codec, sensors, settings))
+    tracker = partial(_tracker, swarm, codec, sensors, settings)
+    shared = tracker()
     nodes = []
     for node in range(swarm.nodes):
-        tracker = shared
-        if alone:
-            arrival = swarm.stream("arrival", node)
-            tracker = _kept(swarm, partial(_track_records, codec, sensors, settings, arrival))
-        nodes.append(
-            _with_scans(build_node(setup, node), partial(_estimator, setup, codec, tracker))
-        )
+        own = tracker(swarm.stream("arrival", node)) if alone else shared
+        nodes.append(_with_scans(build_node(setup, node), partial(_estimator, setup, codec, own)))
     return SwarmNetwork(_environment(setup, codec, truth, scans), nodes)
 
 
-def _kept(swarm: TargetSwarm, track_records: Callable[..., Tracked]) -> KeptTracks:
-    return KeptTracks(_in_step_order(track_records), swarm.window_steps + _LEAD)
-
-
-def _in_step_order(track_records: Callable[..., Tracked]) -> TrackStep:
-    return lambda before, step, records: track_records(before=before, step=step, records=records)
-
-
-def _track_records(
+def _tracker(
+    swarm: TargetSwarm,
     codec: ScanCodec,
     sensors: Sequence[ScanningSensor],
     settings: TrackerSettings,
     arrival: np.random.Generator | None = None,
-    *,
-    before: Tracked,
-    step: int,
-    records: StepRecords,
-) -> Tracked:
-    """Return the tracks after a step, of which a node has these records.
+) -> KeptTracks:
+    """Return the tracker of nodes.
 
     `arrival` draws an order of scans and detections, on which nothing may depend.
     """
-    scans = [_scan(codec, sensors[source], source, record) for source, record in records]
-    if arrival is not None:
-        arrival.shuffle(scans)
-        scans = [one._replace(detections=arrival.permutation(one.detections)) for one in scans]
-    return track(before.tracks, scans, settings, step)
+
+    def after(before: Tracked, step: int, records: StepRecords) -> Tracked:
+        scans = [_scan(codec, sensors[source], source, record) for source, record in records]
+        if arrival is not None:
+            arrival.shuffle(scans)
+            scans = [one._replace(detections=arrival.permutation(one.detections)) for one in scans]
+        return track(before.tracks, scans, settings, step)
+
+    return KeptTracks(after, swarm.window_steps + _LEAD)
 
 
 def _scan(codec: ScanCodec, sensor: ScanningSensor, source: int, record: bytes) -> Scan:

@@ -70,11 +70,12 @@ def test_tracks_are_those_of_the_records_that_a_node_held_last():
     in_process.run(network.environment, network.nodes, MemoryRecorder(), watch=watch)
     late = 0
     for node, config in enumerate(network.nodes):
-        tracker, tracked = config.estimator.track, START
+        estimator, tracked = config.estimator, START
+        assert isinstance(estimator, ScanFlooding)
         for step in range(SCARCE.steps):
             records = held[node][step]
             late += 0 < len(records) < SCARCE.nodes
-            tracked = tracker(tracked, step, tuple(sorted(records.items())))
+            tracked = estimator.track(tracked, step, tuple(sorted(records.items())))
         assert bits_of(tracked) == bits_of(last[node].reached)
         assert len(tracked.tracks.existence) > 0
     assert late > 10
@@ -133,8 +134,7 @@ def test_a_dead_node_is_no_longer_scored_and_a_returned_one_tracks_again():
 
 def test_an_empty_scan_lowers_the_existence_and_a_missing_one_does_not():
     estimator = estimator_of(SMALL)
-    swarm = dataclasses.replace(SMALL)
-    place = swarm.positions()[1] + 50
+    place = SMALL.positions()[1] + 50
     tracks = Tracks(
         Gaussian(np.array([[place[0], 0, place[1], 0]]), np.eye(4)[None]),
         np.array([0.9]),
