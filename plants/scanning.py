@@ -14,6 +14,8 @@ REFERENCE = math.sqrt(0.5)
 """Range at which the detection probability is the one asked for, in fields of view: half of the
 field's area is nearer."""
 MOST_CLUTTER = 200
+_NOISE_BEYOND = 4
+"""Standard deviations of noise that may take a detection beyond the field of view."""
 LEAST_CLUTTER = 0.01
 """Expected clutter of a scan that a tracker assumes at least: none would make each detection a
 target."""
@@ -38,6 +40,8 @@ class ScanningSensor:
     clutter: float = 5.0  # expected number of clutter detections in a scan
     field_of_view_m: float = 350.0
     speed_std_m_s: float = 10.0  # of each velocity of a target of which nothing is known
+    reach_m: float = math.inf  # beyond it the scan that was received says nothing
+    merge_m: float = 0.0  # detected targets at most so far apart give one detection
 
     def __post_init__(self) -> None:
         if not FALSE_ALARM < self.detection < 1:
@@ -49,11 +53,18 @@ class ScanningSensor:
             raise ValueError(
                 f"clutter {self.clutter:g}: must be 0 to {MOST_CLUTTER} detections in a scan"
             )
+        if not 0 <= self.merge_m < math.inf:
+            raise ValueError(f"merge_m {self.merge_m:g}: must be 0 m or more, and finite")
 
     @property
     def noise_cov(self) -> np.ndarray:
         """Covariance (2, 2) of a detection."""
         return np.diag(self.sensor.noise_std**2)
+
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest range in m and bearing in rad of nearly all detections, (2,) each."""
+        farthest = self.field_of_view_m + _NOISE_BEYOND * self.sensor.range_std_m
+        return np.array([0.0, -math.pi]), np.array([farthest, math.pi])
 
     def measure(self, state: np.ndarray) -> np.ndarray:
         """Range and bearing (..., 2) of states (..., 4), without noise."""
@@ -64,13 +75,13 @@ class ScanningSensor:
         return self.sensor.residual(a, b)
 
     def detection_probability(self, state: np.ndarray) -> np.ndarray:
-        """Return that of states (..., 4): (...); 0 beyond the field of view."""
+        """Return that of states (..., 4): (...); 0 beyond the field of view or the reach."""
         fields = self.measure(state)[..., 0] / self.field_of_view_m
         echo = math.log(FALSE_ALARM) / math.log(self.detection) - 1
         # 1 / (1 + S), written so that a target at the sensor divides by nothing.
         ratio = (fields / REFERENCE) ** 4
         probability = FALSE_ALARM ** (ratio / (ratio + echo))
-        return np.where(fields > 1, 0.0, probability)
+        return np.where(fields > min(1.0, self.reach_m / self.field_of_view_m), 0.0, probability)
 
     def clutter_density(self, detections: np.ndarray) -> np.ndarray:
         """Return the expected clutter (D,) per m and rad: uniform over the area of the field."""
@@ -99,14 +110,15 @@ class ScanningSensor:
         """Detections (D, 2) of targets at `states` (K, 4), NaN where none is, and of clutter.
 
         Each target takes three numbers of the generator, whether it is there or not; the order of
-        the detections is random.
+        the detections is random. Detected targets that `merge_m` links to each other give the
+        detection of the mean of their states.
         """
         present = np.asarray(np.isfinite(states).all(axis=-1))
         chance, noise = generator.random(len(states)), generator.standard_normal((len(states), 2))
         there = np.where(present[:, None], states, 0.0)
         detected = present & (chance < self.detection_probability(there))
-        exact = self.measure(there[detected])
-        taken = exact + noise[detected] * self.sensor.noise_std
+        exact, first = self._resolved(there[detected])
+        taken = exact + noise[detected][first] * self.sensor.noise_std
         taken[:, 1] = wrapped(taken[:, 1])
         count = generator.poisson(self.clutter)
         uniform = generator.random((count, 2))
@@ -118,3 +130,15 @@ class ScanningSensor:
             axis=-1,
         )
         return generator.permutation(np.concatenate((taken, clutter)))
+
+    def _resolved(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return exact detections (D, 2) of detected targets, and the first target of each (D,)."""
+        if self.merge_m <= 0:
+            return self.measure(states), np.arange(len(states))
+        places = states[:, ::2]
+        linked = np.linalg.norm(places[:, None] - places, axis=-1) <= self.merge_m
+        for _ in range(len(states)):
+            linked = linked @ linked
+        first = np.unique(linked.argmax(axis=1)) if len(states) else np.empty(0, dtype=int)
+        groups = linked[first].astype(float)
+        return self.measure(groups @ states / groups.sum(axis=1, keepdims=True)), first

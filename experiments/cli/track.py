@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.progress import progress
+from concord.experiments.results.folder import make_folder
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.tracking.swarm_run import SwarmRun, run_swarm
@@ -43,7 +45,9 @@ class TrackOptions:
     """Independent runs; two or more give intervals of 95 %."""
     alone: bool = False
     """Let each node compute its own tracks, from scans in an order of its own, and compare the bits
-    of nodes with equal scans. Otherwise these nodes share one computation, which saves time."""
+    of nodes with equal records. Otherwise these share one computation, which saves time."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for the tracks, tracks_<run>.nc each; it must not exist."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     json: bool = False
@@ -53,7 +57,7 @@ class TrackOptions:
 def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> None:
     """Track several targets from detections that do not say of which target they are.
 
-    A centre has all scans at once. Each node has its own, and those that its neighbours flood.
+    A centre has all scans at once. Each node has its own, and those that come over the bus.
     Cutoff 50 m and order 2 in all scores.
     """
     with user_errors():
@@ -61,6 +65,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
             raise ValueError(f"--runs {options.runs}: must be 1 or more")
         options.swarm.check()
         engine = engine_for(1 if options.runs == 1 else options.workers, None)
+        folder = None if options.out is None else make_folder(options.out, "")
     cases = [
         dataclasses.replace(options.swarm, run=options.swarm.run + number)
         for number in range(options.runs)
@@ -68,7 +73,7 @@ def track_swarm(options: Annotated[TrackOptions, tyro.conf.arg(name="")]) -> Non
     found: dict[int, SwarmRun] = {}
     try:
         with progress("runs", options.runs, as_json=options.json) as on_runs:
-            for place, run in engine(partial(run_swarm, alone=options.alone), cases):
+            for place, run in engine(partial(run_swarm, alone=options.alone, folder=folder), cases):
                 found[place] = run
                 on_runs(len(found))
     except WorkerLost as error:
@@ -99,19 +104,33 @@ def _show(swarm: TargetSwarm, runs: Sequence[SwarmRun]) -> None:
         f"After a step a node holds {held:.1%} of the scans of the last {swarm.window_steps} "
         f"steps; {alike:.1%} of the pairs of nodes have equal tracks, bit for bit.\n"
     )
+    _show_bus(runs)
     compared = [run.compared for run in runs if run.compared is not None]
     if compared:
         pairs, different = (
             sum(getattr(one, name) for one in compared) for name in ("pairs", "different")
         )
         sys.stdout.write(
-            f"{pairs} pairs of nodes had equal scans; the tracks of {different} differ.\n"
+            f"{pairs} pairs of nodes had equal records; the tracks of {different} differ.\n"
         )
     approximated = sum(run.approximated for run in runs)
     if approximated:
         sys.stdout.write(
             f"{approximated} clusters of the centre were too large for the exact sum; their best "
             "hypotheses stand for all.\n"
+        )
+
+
+def _show_bus(runs: Sequence[SwarmRun]) -> None:
+    frames, sent = (np.mean([getattr(run, name) for run in runs]) for name in ("frames", "bytes"))
+    bus_time = runs[0].bus_time
+    lasts = f"; its cycles last {bus_time:.1%} of the time" if bus_time else ""
+    sys.stdout.write(f"The bus carries {frames:.4g} frames, {sent:.4g} bytes, a step{lasts}.\n")
+    shortened = sum(run.shortened for run in runs)
+    if shortened:
+        sys.stdout.write(
+            f"{shortened} scans had more detections than a record holds; the farthest are left "
+            "out, and the tracker takes it that the scan reaches no farther.\n"
         )
 
 

@@ -35,17 +35,22 @@ class TrackingScores(msgspec.Struct, frozen=True):
 
 
 class TrackLog:
-    """Steps of one tracker, scored as they come."""
+    """Steps of one tracker, scored as they come.
+
+    `reported` are the steps, each with the tracks that the tracker reported.
+    """
 
     def __init__(self) -> None:
+        self.reported: list[tuple[int, Tracks]] = []
         self._scored: list[Gospa] = []
         self._ospa_m: list[float] = []
         self._assigned: list[dict[int, object]] = []
 
-    def add(self, states: np.ndarray, tracks: Tracks) -> None:
+    def add(self, step: int, states: np.ndarray, tracks: Tracks) -> None:
         """Score the tracks of a step beside the true states (K, 4), NaN where there is none."""
         there = np.flatnonzero(np.isfinite(states).all(axis=-1))
         seen = reported(tracks)
+        self.reported.append((step, seen))
         truth, estimates = states[there][:, PLACES], seen.belief.mean[:, PLACES]
         found = gospa(truth, estimates, CUTOFF_M, ORDER)
         identities = [tuple(identity) for identity in seen.identity.tolist()]

@@ -19,7 +19,7 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
-from concord.nodes.rules.record_codec import RecordCodec
+from concord.nodes.rules.record_codec import RecordForm
 from concord.nodes.rules.record_sets import RecordSets
 
 MAX_SOURCES = 256
@@ -62,7 +62,7 @@ class LabelledFrameCodec:
         ValueError: a share of `limit_bytes` does not hold a checkpoint, or not every record.
     """
 
-    codecs: Sequence[RecordCodec | None]
+    codecs: Sequence[RecordForm | None]
     belief: BeliefCodec
     window_steps: int
     digest_steps: int

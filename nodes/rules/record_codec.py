@@ -26,6 +26,50 @@ class Calibrated(Protocol):
         ...
 
 
+class RecordForm(Protocol):
+    """A form in which the readings of a node at a step are written, the same for all readers."""
+
+    @property
+    def readings(self) -> int:
+        """The most readings in a record."""
+        ...
+
+    @property
+    def channels(self) -> int:
+        """How many numbers a reading has."""
+        ...
+
+    @property
+    def size_max(self) -> int:
+        """Length in bytes of the longest record."""
+        ...
+
+    @property
+    def rounding_cov(self) -> np.ndarray | None:
+        """Covariance (channels, channels) of what rounding does; None where nothing is rounded."""
+        ...
+
+    def encode(self, delivered: np.ndarray) -> bytes | None:
+        """The record of readings (r, d); None where there is nothing to say."""
+        ...
+
+    def received(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (..., r, d) as readers get them, and lengths (...); 0 for no record."""
+        ...
+
+    def beyond(self, delivered: np.ndarray) -> np.ndarray:
+        """How much of readings (..., r, d) a record cannot say, (...)."""
+        ...
+
+    def decode(self, record: bytes) -> np.ndarray:
+        """The readings (r, d) that a whole record means."""
+        ...
+
+    def length(self, data: bytes) -> int:
+        """Length of the record that `data` begins with; more than that of `data` if it is cut."""
+        ...
+
+
 @dataclass(frozen=True)
 class RecordCodec:
     """How the readings (r, d) of a node at a step are written.
@@ -46,7 +90,7 @@ class RecordCodec:
         """Length in bytes of a record of which no reading is missing."""
         return self._mask_bytes + self.readings * self._reading_bytes
 
-    @cached_property
+    @property
     def rounding_cov(self) -> np.ndarray | None:
         """Covariance (channels, channels) of what rounding does, uniform errors: step^2 / 12."""
         return None if self.resolution is None else np.diag(self.resolution**2 / 12)

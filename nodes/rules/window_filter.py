@@ -18,7 +18,7 @@ from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
-from concord.nodes.rules.record_codec import RecordCodec
+from concord.nodes.rules.record_codec import RecordForm
 
 
 class Windows(NamedTuple):
@@ -79,7 +79,7 @@ class WindowFilter:
     model: Model
     filter: Filter
     sensors: AllSensors
-    codecs: Sequence[RecordCodec | None]
+    codecs: Sequence[RecordForm | None]
     silence_fits: bool = False
 
     def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:

@@ -5,21 +5,25 @@ The ground, the sensors and the radio are those of `target-tracking`. Detections
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from concord.filters.association.associate import ASSOCIATIONS
 from concord.filters.sigma_points import cubature
 from concord.filters.tracking.tracker import Scan, TrackerSettings
+from concord.nodes.commands import Configure
 from concord.plants.motion import ConstantVelocity
 from concord.plants.placement import place_sensors
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.scanning import FALSE_ALARM, MOST_CLUTTER, ScanningSensor
 from concord.plants.swarm import Swarm
-from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
-from concord.scenarios.scenario import require
+from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M, TURNING
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario, require
+from concord.scenarios.script import script_of, with_files
+from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
-from concord.topology.geometric_graphs import geometric
 from concord.topology.names import unknown_name
 
 STATES = 4
@@ -42,14 +46,26 @@ class TargetSwarm:
     """Detection probability at 0.71 of the field of view; nearer targets have more."""
     clutter: float = 5.0
     """Expected number of clutter detections in a scan."""
+    merge_m: float = 0.0
+    """Detected targets at most so far apart, in m, give a single detection; 0 for none."""
     steps: int = 100
     """Sampling instants to simulate, one second each."""
     association: str = "jpda"
     """How detections are assigned: jpda or nearest."""
     rounds: int = 3
-    """Rounds of flooding in a step."""
+    """Communication cycles of a step."""
+    bus: str = "flexray"
+    """Bus that the nodes share: flexray, plca, can-fd or ideal."""
+    occupancy: float = 1.0
+    """Share of the nodes that publish in a cycle."""
+    cluster: str = ""
+    """FlexRay cluster, as of `concord run`; fitted when left out."""
+    payload_bytes: int = 254
+    """Longest share of scans."""
     loss: float = 0.0
-    """Probability that a node does not hear a neighbour in a round."""
+    """Probability that a link loses a frame on its way to one receiver."""
+    changes: tuple[str, ...] = ()
+    """Faults, each with its step: "50 kill 3" "70 restart 3" (docs/faults.md has all words)."""
     window_steps: int = 8
     """Steps after which a scan that has not come is left out."""
     placement: int = 0
@@ -71,7 +87,6 @@ class TargetSwarm:
         ):  # fmt: skip
             value = getattr(self, name)
             require(value >= least, name, value, f"{least} or more")
-        require(0 <= self.loss < 1, "loss", self.loss, "0 or more, and below 1")
         require(
             FALSE_ALARM < self.detection < 1,
             "detection",
@@ -85,29 +100,59 @@ class TargetSwarm:
             self.clutter,
             f"0 to {MOST_CLUTTER} detections in a scan",
         )
+        require(0 <= self.merge_m < np.inf, "merge_m", self.merge_m, "0 m or more, and finite")
         if self.association not in ASSOCIATIONS:
             raise unknown_name("association", self.association, ASSOCIATIONS)
+        for step, command in script_of(self.network()):
+            if isinstance(command, Configure):
+                raise ValueError(
+                    f"--changes {step} set: tracks keep their rule and bus; leave it out, or ask "
+                    "for others from the start"
+                )
         # Placing the nodes is what else can fail, and says why.
-        self.positions()
+        self.setup()
+
+    def network(self) -> Scenario:
+        """The nodes, their links, bus and faults: those of `target-tracking` with its flooding."""
+        asked: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in (
+                "nodes", "placement", "steps", "seed", "run", "rounds", "bus", "occupancy", "loss",
+                "window_steps", "payload_bytes",
+            )
+        }  # fmt: skip
+        if self.cluster:
+            asked["cluster"] = self.cluster
+        # Where a part of the nodes publishes, scans of different lengths ask for the slots.
+        changes = with_files(self.changes)
+        return TURNING.defaults.with_(rule="labelled", changes=changes, **asked)
+
+    def setup(self) -> Setup:
+        """The network worked out.
+
+        Raises:
+            ValueError: anything that cannot run, named with its value, the rule and the cure.
+        """
+        return prepare(self.network())
 
     def positions(self) -> np.ndarray:
         """Places (nodes, 2) of the nodes in m."""
         return _positions(self.nodes, self.placement)
 
-    def neighbours(self) -> np.ndarray:
-        """Whether a node hears another: (nodes, nodes)."""
-        return geometric(self.positions(), RADIO_RANGE_M).toarray()
-
     def truth(self) -> np.ndarray:
         """States (steps, targets, 4) of the targets, NaN where one is not there."""
         return Swarm(self.targets).truth(self.stream, self.steps)
 
-    def scans(self, truth: np.ndarray) -> list[list[Scan]]:
-        """Return the scans of all nodes in each step."""
-        sensors = [
-            ScanningSensor(RangeBearing(place), self.detection, self.clutter)
+    def sensors(self) -> list[ScanningSensor]:
+        """The sensors of all nodes."""
+        return [
+            ScanningSensor(RangeBearing(place), self.detection, self.clutter, merge_m=self.merge_m)
             for place in self.positions()
         ]
+
+    def scans(self, truth: np.ndarray) -> list[list[Scan]]:
+        """Return the scans of all nodes in each step."""
+        sensors = self.sensors()
         streams = [self.stream("scan", node) for node in range(self.nodes)]
         return [
             [

@@ -1,7 +1,10 @@
 """Test the scanning sensor and the swarm: their statistics, and the tracks that begin."""
 
+import dataclasses
+import itertools
 import math
 
+import networkx
 import numpy as np
 import pytest
 from hypothesis import given
@@ -47,6 +50,34 @@ def test_a_target_is_detected_as_often_as_the_probability_says():
     assert stats.binomtest(int(counts[0]), scans, probability).pvalue > 1e-3
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 7))
+def test_near_targets_give_one_detection_at_their_mean(seed: int, count: int):
+    rng = np.random.default_rng(seed)
+    exact = RangeBearing(PLACE, range_std_m=1e-9, bearing_std_rad=1e-9)
+    radar = ScanningSensor(exact, 0.9, 0.0, field_of_view_m=1e6, merge_m=20.0)
+    states = np.zeros((count, 4))
+    states[:, ::2] = PLACE + rng.uniform(0, 60, (count, 2))
+    # So wide is the field that every target is detected.
+    taken = radar.scan(states, rng)
+    graph = networkx.Graph()
+    graph.add_nodes_from(range(count))
+    for one, other in itertools.combinations(range(count), 2):
+        if math.dist(states[one, ::2], states[other, ::2]) <= 20:
+            graph.add_edge(one, other)
+    groups = [states[[*group], ::2].mean(axis=0) for group in networkx.connected_components(graph)]
+    along = np.stack((np.cos(taken[:, 1]), np.sin(taken[:, 1])), axis=-1)
+    found = PLACE + taken[:, :1] * along
+    np.testing.assert_allclose(sorted(found.tolist()), sorted(map(list, groups)), atol=1e-6)
+
+
+def test_a_scan_says_nothing_beyond_its_reach():
+    radar, states = sensor(), at_ranges(np.array([100.0, 199.0, 201.0]))
+    cut = dataclasses.replace(radar, reach_m=200.0)
+    seen, whole = (one.detection_probability(states) for one in (cut, radar))
+    assert (seen[:2] == whole[:2]).all() and seen[2] == 0 < whole[2]
+    assert cut.clutter_density(np.ones((1, 2))) == radar.clutter_density(np.ones((1, 2)))
+
+
 def test_clutter_is_poisson_and_uniform_and_its_density_is_that():
     radar, rng = sensor(clutter=4.0), np.random.default_rng(2)
     scans = [radar.scan(np.empty((0, 4)), rng) for _ in range(3000)]
@@ -79,7 +110,11 @@ def test_tracks_begin_with_the_error_of_their_detection():
 
 @pytest.mark.parametrize(
     ("changed", "says"),
-    [({"detection": 1.0}, "detection 1: must be above 0.001"), ({"clutter": -1.0}, "clutter -1")],
+    [
+        ({"detection": 1.0}, "detection 1: must be above 0.001"),
+        ({"clutter": -1.0}, "clutter -1"),
+        ({"merge_m": math.inf}, "merge_m inf"),
+    ],
 )
 def test_a_sensor_that_cannot_be_is_refused(changed: dict[str, float], says: str):
     with pytest.raises(ValueError, match=says):

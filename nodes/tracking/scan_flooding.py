@@ -1,0 +1,173 @@
+"""Scans as labelled records: flooding brings them to a node, whose tracks are a function of them.
+
+The records of a step are used in the order of their sources, and steps in their order. A record
+that comes late takes its place in the window, and the tracks are computed again from there. Equal
+records therefore give equal tracks, bit for bit, in any order of arrival. No checkpoint travels: a
+node that returns begins its tracks with the scans that it gets.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.bus.bus import Rejected
+from concord.filters.gaussian import Gaussian
+from concord.filters.tracking.tracker import Tracked
+from concord.filters.tracking.tracks import reported
+from concord.nodes.messages import Measured
+from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled_frame import LabelledShare
+from concord.nodes.rules.lane_rule import Failures
+from concord.nodes.rules.window_filter import WindowFilter, Windows
+
+StepRecords = tuple[tuple[int, bytes], ...]
+"""(source, record) of a step, sources ascending."""
+TrackStep = Callable[[Tracked, int, StepRecords], Tracked]
+"""Tracks before a step, the step, and its records -> tracks after it."""
+
+
+class RecordsAlone(WindowFilter):
+    """A window that keeps records, and believes nothing of any state."""
+
+    def with_readings(self, windows: Windows, places: np.ndarray, delivered: np.ndarray) -> Windows:
+        """Return the windows as they are."""
+        return windows
+
+    def filtered(
+        self, windows: Windows, held: np.ndarray | None = None
+    ) -> tuple[Windows, Failures]:
+        """Return the windows as they are."""
+        return windows, {}
+
+
+class ScanContent(NamedTuple):
+    """A node's knowledge.
+
+    Attributes:
+        flooded: the records of the window.
+        settled: tracks after the steps that have left the window.
+        used: digest of all records that went into these.
+        reached: tracks after the last step that has ended.
+        evidence: digest of all records that went into those.
+    """
+
+    flooded: LabelledContent
+    settled: Tracked
+    used: bytes
+    reached: Tracked
+    evidence: bytes
+
+
+@dataclass(frozen=True)
+class ScanFlooding:
+    """The estimator at one node: `flooding` brings records, `track` makes tracks of them."""
+
+    flooding: LabelledFlooding
+    track: TrackStep
+    begin: Tracked
+
+    @property
+    def share_bytes(self) -> int:
+        """Length of the longest share."""
+        return self.flooding.share_bytes
+
+    def start(self) -> ScanContent:
+        """No record and no track."""
+        return ScanContent(self.flooding.start(), self.begin, b"", self.begin, b"")
+
+    def begin_step(
+        self, content: ScanContent, measured: Measured
+    ) -> tuple[ScanContent, tuple[str, ...]]:
+        """Let the oldest step leave the window, and record the own scan."""
+        flooded, failures = self.flooding.begin_step(content.flooded, measured)
+        return _with_flooded(content, flooded), failures
+
+    def bid(self, content: ScanContent) -> int | None:
+        """Return the urgency of the records that neighbours lack (`LabelledFlooding.bid`)."""
+        return self.flooding.bid(content.flooded)
+
+    def compose(self, content: ScanContent) -> tuple[ScanContent, bytes]:
+        """Return the share to send now: records that neighbours may lack."""
+        flooded, body = self.flooding.compose(content.flooded)
+        return _with_flooded(content, flooded), body
+
+    def accept(self, body: bytes) -> LabelledShare:
+        """The share that these bytes mean.
+
+        Raises:
+            Rejected: as `LabelledFlooding.accept`, and `labelled-checkpoint` for a checkpoint.
+        """
+        share = self.flooding.accept(body)
+        if share.checkpoint is not None:
+            raise Rejected("labelled-checkpoint")
+        return share
+
+    def fuse(
+        self, content: ScanContent, shares: tuple[LabelledShare | None, ...]
+    ) -> tuple[ScanContent, tuple[str, ...]]:
+        """End a group: hold the records received; at the end of a step compute the tracks."""
+        flooded, failures = self.flooding.fuse(content.flooded, shares)
+        rounds = flooded.cycle - self.flooding.first_cycle
+        is_end = flooded.group == 0 and rounds % self.flooding.rounds == 0
+        content = _with_flooded(content, flooded)
+        return (self._tracked(content) if is_end else content), failures
+
+    def _tracked(self, content: ScanContent) -> ScanContent:
+        windows, tracked, evidence = content.flooded.windows, content.settled, content.used
+        for place in range(windows.first, len(content.flooded.records)):
+            records = tuple(sorted(content.flooded.records[place].items()))
+            tracked = self.track(tracked, windows.step_at(place), records)
+            evidence = _digest(evidence, records)
+            if place == 0:
+                # No record of this step can come any more.
+                content = content._replace(settled=tracked, used=evidence)
+        return content._replace(reached=tracked, evidence=evidence)
+
+    def belief(self, content: ScanContent) -> Gaussian:
+        """The number of targets: that of the reported tracks, each there by its existence."""
+        existence = reported(content.reached.tracks).existence
+        return Gaussian(
+            np.array([existence.sum()]), np.array([[(existence * (1 - existence)).sum()]])
+        )
+
+    def ages(self, content: ScanContent) -> np.ndarray:
+        """Cycles since each neighbour's last share was sent."""
+        return self.flooding.ages(content.flooded)
+
+
+def _with_flooded(content: ScanContent, flooded: LabelledContent) -> ScanContent:
+    """Return the content with these records; no neighbour is owed a checkpoint."""
+    return content._replace(flooded=flooded._replace(owed=False))
+
+
+def _digest(before: bytes, records: StepRecords) -> bytes:
+    known = hashlib.sha256(before)
+    for source, record in records:
+        known.update(b"%d %d " % (source, len(record)) + record)
+    return known.digest()
+
+
+class KeptTracks:
+    """A tracker that keeps its results of the last `steps` steps.
+
+    Nodes of one process that share it compute tracks of equal records once. It is a function all
+    the same: the result depends on nothing that is kept.
+    """
+
+    def __init__(self, track: TrackStep, steps: int) -> None:
+        self._track, self._steps, self._newest = track, steps, -1
+        # The tracks before the step are kept beside those after it, so that no other has its id.
+        self._kept: dict[tuple[int, int, StepRecords], tuple[Tracked, Tracked]] = {}
+
+    def __call__(self, before: Tracked, step: int, records: StepRecords) -> Tracked:
+        """Return the tracks after a step."""
+        if step > self._newest:
+            self._newest, oldest = step, step - self._steps
+            self._kept = {key: kept for key, kept in self._kept.items() if key[1] > oldest}
+        key = (id(before), step, records)
+        if key not in self._kept:
+            self._kept[key] = (before, self._track(before, step, records))
+        return self._kept[key][1]
