@@ -107,7 +107,7 @@ def turned(factor: np.ndarray, cycle: AugmentedCycle) -> np.ndarray:
 
 def _columns_in_use(matrix: np.ndarray) -> np.ndarray:
     """Which columns (n,) of matrices (..., k, n) are not zero in all lanes."""
-    return np.asarray((matrix != 0.0).any(tuple(range(matrix.ndim - 1))))
+    return np.asarray(matrix.any(tuple(range(matrix.ndim - 1))))
 
 
 class Proof(NamedTuple):
