@@ -3,8 +3,8 @@
 On the path the trace over a weight plus a logarithmic barrier is least. As the weight falls, its
 minimum goes to that of the trace. Newton's method follows the path.
 
-The part that the centre follows is eliminated by a choice of axes: with the null space of `known`
-first and M = L L' in these axes, the trace is that of the first axes alone.
+A choice of axes eliminates the part that the centre follows. The null space of `known` spans the
+first axes. With M = L L' in these axes, the trace depends on the first axes alone.
 
 Source: Boyd and Vandenberghe (2004), Convex optimization, sections 5.9 and 11.6.
 """
@@ -300,7 +300,7 @@ def _newton_step(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     balanced = hessian * scale[:, :, None] * scale[:, None, :]
     right = gradient * scale
     if not math.isfinite(balanced.sum() + right.sum()):
-        sound = np.isfinite(balanced).all((-1, -2)) & np.isfinite(right).all(-1)
+        sound = np.asarray(np.isfinite(balanced).all((-1, -2)) & np.isfinite(right).all(-1))
         balanced = np.where(sound[:, None, None], balanced, 0.0)
         right = np.where(sound[:, None], right, 0.0)
         scale = np.where(sound[:, None], scale, 0.0)

@@ -161,7 +161,7 @@ def _normalised(problem: Problem) -> tuple[BarrierTask, np.ndarray, np.ndarray]:
     size = np.where(size > 0, size, 1.0)
     known = spread(problem.known, 2)
     _, singular, rows = np.linalg.svd(known / row_units(known)[..., None])
-    # Singular values descend. What is known least, or not at all, comes first.
+    # Singular values descend, and the axes are turned round: the null space comes first.
     axes = rows[:, ::-1].mT
     followed = (singular > _WEAK * singular.max(-1, keepdims=True, initial=0.0)).sum(-1)
     width = terms.shape[-1] - int(followed.min(initial=known.shape[-1]))
