@@ -16,6 +16,7 @@ from concord.filters.sets.cycle import (
     check_sizes,
     follow,
     heard,
+    radii,
     shared,
     turned,
     unknowns,
@@ -26,6 +27,7 @@ from concord.filters.sets.rounding import RANK_TOLERANCE, pseudo_inverse, row_un
 
 _ITERATIONS = 60
 _EDGE = 1e-12
+_TINY = float(np.finfo(float).tiny)
 
 
 def closed_form_step(
@@ -41,12 +43,10 @@ def closed_form_step(
     check_sizes(before, cycle, received)
     cycle, received = heard(cycle, received)
     position = turned(replace_lost(before, 0.0).factor, cycle)
-    of = unknowns(position, cycle)
     samples, seen = cycle.noise.shape[-2], position.shape[-1]
-    image, known = of.image[..., 1:], of.known[..., 1:]
+    image, known = unknowns(position, cycle)
     size = image.shape[-1]
-    # Both parts have half of the whole here: the factors of the halves are those of the balls.
-    balls = shared(np.asarray(0.5), seen, size, samples) * np.sqrt(0.5)
+    balls = radii(seen, size, samples)
     uncut = np.sqrt((image**2).sum(-1))
     weights = criterion(uncut)[..., None]
     share = _best_share(weights * image * balls, known * balls, seen)
@@ -67,7 +67,7 @@ def _best_share(image: np.ndarray, known: np.ndarray, seen: int) -> np.ndarray:
     """
     free = _null_space(known)
     values, vectors = np.linalg.eigh(free[..., :seen, :].mT @ free[..., :seen, :])
-    values = np.clip(values, 0.0, 1.0)
+    values = np.minimum(np.maximum(values, 0.0), 1.0)
     sizes = ((image @ free @ vectors) ** 2).sum(-2)
     return _least_sum(sizes, values)
 
@@ -75,21 +75,24 @@ def _best_share(image: np.ndarray, known: np.ndarray, seen: int) -> np.ndarray:
 def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """argmin (...) over a in (0, 1) of sum sizes / (a values + (1 - a)(1 - values)), convex.
 
-    Newton's method, halving the interval where it would leave it.
+    Newton's method, halving the interval where it would leave it. It begins at the minimum of the
+    sum in which each term is shared between a value of 0 and one of 1.
     """
-    low, high = np.zeros(sizes.shape[:-1]), np.ones(sizes.shape[:-1])
-    slope = 2.0 * values - 1.0
-    share = np.full(low.shape, 0.5)
+    rest, slope = 1.0 - values, 2.0 * values - 1.0
+    ends = np.sqrt((sizes * values).sum(-1)), np.sqrt((sizes * rest).sum(-1))
+    low, high = np.zeros(ends[0].shape), np.ones(ends[0].shape)
+    share = np.minimum(np.maximum(ends[0] / (ends[0] + ends[1] + _TINY), _EDGE), 1.0 - _EDGE)
     for _ in range(_ITERATIONS):
-        at = 1.0 - values + share[..., None] * slope
+        at = rest + share[..., None] * slope
         ratio = slope / at
         parts = sizes * ratio / at
         first, second = -parts.sum(-1), 2.0 * (parts * ratio).sum(-1)
         low, high = np.where(first < 0, share, low), np.where(first > 0, share, high)
-        following = share - first / np.maximum(second, np.finfo(float).tiny)
+        following = share - first / np.maximum(second, _TINY)
         inside = (following > low) & (following < high)
         following = np.where(inside, following, 0.5 * (low + high))
-        change, share = np.abs(following - share), np.clip(following, _EDGE, 1.0 - _EDGE)
+        change = np.abs(following - share)
+        share = np.minimum(np.maximum(following, _EDGE), 1.0 - _EDGE)
         # The step squares the error, and the trace, which is flat there, squares it once more.
         if (change <= 1e-3 * share * (1.0 - share)).all():
             break
@@ -97,9 +100,11 @@ def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _null_space(matrix: np.ndarray) -> np.ndarray:
-    """Columns (..., d, d) that span the null space of matrix (..., m, d); zero columns fill up."""
+    """Columns (..., d, f) that span the null space of matrix (..., m, d); zero columns fill up."""
     _, singular, rows = np.linalg.svd(matrix / row_units(matrix)[..., None], full_matrices=True)
-    kept = np.zeros(rows.shape[:-1], dtype=bool)
     strongest = singular.max(-1, keepdims=True, initial=0.0)
-    kept[..., : singular.shape[-1]] = singular > RANK_TOLERANCE * strongest
-    return rows.mT * ~kept[..., None, :]
+    # Singular values descend: what is known comes first.
+    cuts = (singular > RANK_TOLERANCE * strongest).sum(-1)
+    fewest = int(cuts.min(initial=matrix.shape[-2]))
+    free = np.arange(fewest, rows.shape[-1]) >= cuts[..., None]
+    return rows[..., fewest:, :].mT * free[..., None, :]

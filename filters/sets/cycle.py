@@ -6,6 +6,7 @@ each within the unit ball. Noise maps have shape (rows, g, q).
 Source: Liu et al. (2021), section V.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class CycleResult(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Next state and received values: linear maps (..., N, d), (..., m, d) of theta = (1, u, v)."""
+    """Next state and received values: linear maps (..., N, d), (..., m, d) of (u, v)."""
 
     image: np.ndarray
     known: np.ndarray
@@ -80,14 +81,14 @@ def check_sizes(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) 
 
 
 def unknowns(position: np.ndarray, cycle: AugmentedCycle) -> Unknowns:
-    """Errors of the state and of the received values as they come from theta; no constant part.
+    """Errors of the state and of the received values as they come from u and v.
 
     position: (..., N, r), a factor of the ellipsoid before, `turned` or as it is.
     """
     noise, output_noise = flat(cycle.noise), flat(cycle.output_noise)
     image = join_columns(cycle.transition @ position, noise)
     known = join_columns(cycle.output @ position, output_noise)
-    return Unknowns(_without_constant(image), _without_constant(known))
+    return Unknowns(image, known)
 
 
 def turned(factor: np.ndarray, cycle: AugmentedCycle) -> np.ndarray:
@@ -96,12 +97,17 @@ def turned(factor: np.ndarray, cycle: AugmentedCycle) -> np.ndarray:
     The cycle depends on only some coordinates of the state (the last block and the held values).
     With those rows made triangular, the other columns have no effect, and the worst u is 0 there.
     """
-    parts = (cycle.transition, cycle.output, cycle.candidates)
-    used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)
+    used = _columns_in_use(cycle.transition)
+    used = used | _columns_in_use(cycle.output) | _columns_in_use(cycle.candidates)
     seen = squared(factor[..., used, :])
     position = np.zeros((*factor.shape[:-1], seen.shape[-1]))
     position[..., used, :] = seen
     return position
+
+
+def _columns_in_use(matrix: np.ndarray) -> np.ndarray:
+    """Which columns (n,) of matrices (..., k, n) are not zero in all lanes."""
+    return np.asarray(matrix.any(tuple(range(matrix.ndim - 1))))
 
 
 class Proof(NamedTuple):
@@ -148,8 +154,15 @@ def shared(share: np.ndarray, seen: int, size: int, samples: int) -> np.ndarray:
     share: a (...) of u, the first `seen` entries; the g samples v, all in their balls, have 1 - a.
     """
     first = np.arange(size) < seen
-    radius = np.where(first, 1.0, np.sqrt(samples)) * np.sqrt(1.0 + rounding_bound(size))
-    return radius / np.sqrt(np.where(first, share[..., None], 1.0 - share[..., None]))
+    parts = np.where(first, share[..., None], 1.0 - share[..., None])
+    return radii(seen, size, samples) / np.sqrt(parts)
+
+
+def radii(seen: int, size: int, samples: int) -> np.ndarray:
+    """Lengths (size,) that u, the first `seen` entries, and the g samples v reach, each alone."""
+    lengths = np.full(size, math.sqrt(samples * (1.0 + rounding_bound(size))))
+    lengths[:seen] = math.sqrt(1.0 + rounding_bound(size))
+    return lengths
 
 
 def flat(noise: np.ndarray) -> np.ndarray:
@@ -163,11 +176,6 @@ def ball(first: int, count: int, size: int, radius: float) -> np.ndarray:
     diagonal[first : first + count] = 1.0
     diagonal[0] = -radius
     return np.diag(diagonal)
-
-
-def _without_constant(matrix: np.ndarray) -> np.ndarray:
-    """A map of (u, v) as one of (1, u, v)."""
-    return join_columns(np.zeros((matrix.shape[-2], 1)), matrix)
 
 
 def _rounding(

@@ -7,6 +7,7 @@ holds the true state and not only the state of exact arithmetic. No function mix
 states: with x' = T x for a diagonal T, the sets are T times as wide, and otherwise the same.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -174,8 +175,16 @@ def grow(
 
 def squared(factor: np.ndarray) -> np.ndarray:
     """A factor (..., n, min(n, r)), lower triangular, of the same shape matrix as (..., n, r)."""
-    upper: np.ndarray = np.asarray(np.linalg.qr(factor.mT, mode="r"))
-    return upper.mT
+    rows, columns = factor.shape[-2:]
+    # The triangle as LAPACK leaves it, with other numbers above: numpy's own masks cost as much.
+    packed = np.asarray(np.linalg.qr(factor.mT, mode="raw")[0])
+    kept = min(rows, columns)
+    return np.where(_lower_triangle(rows, kept), packed[..., :kept], 0.0)
+
+
+@functools.cache
+def _lower_triangle(rows: int, columns: int) -> np.ndarray:
+    return np.tri(rows, columns, dtype=bool)
 
 
 def outline(ellipsoid: Ellipsoid, states: tuple[int, int], points: int = 65) -> np.ndarray:

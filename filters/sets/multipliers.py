@@ -19,23 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.linalg import cholesky
+from concord.filters.sets.barrier_path import BarrierTask, least_on_path
 from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.ellipsoid import squared
 from concord.filters.sets.rounding import pseudo_inverse, rounding_bound, row_units
 
 ACCURACY = 5e-6
 """Duality gap, relative to the trace, that the search for multipliers ends at."""
-# The path to the optimum: weight of the barrier relative to the trace, at first and from one to the
-# next, how many at most, and Newton's steps on each.
-_FIRST_BARRIER, _STEP_OF_BARRIER, _MOST_BARRIERS = 10.0**-0.5, 0.1, 11
-_NEWTON_STEPS, _HALVINGS = 30, 20
-# Squared Newton decrement at which a barrier is done, and the last one, on which the dual variables
-# must be feasible; in between, where Newton's steps converge quadratically.
-_ROUGH, _SMALL, _FINE = 0.5, 1e-3, 1e-10
-# Weights of the barrier in the dual variables that are tried, in those of the last.
-_DUAL_WEIGHTS = (0.5, 1.0, 2.0, 8.0)
-# Squares of parts of `known` that fade out on the way to the result, relative to all.
-_WEAK = 1e-14
+# Directions of `known` that are weaker, relative to the strongest, are not followed on the way to
+# the multipliers. The gain follows them.
+_WEAK = 1e-7
 # Room inside M > 0, so that no rounding can close it.
 _MARGIN = 1e-7
 
@@ -69,19 +62,6 @@ class Bound(NamedTuple):
     gain: np.ndarray
     multipliers: np.ndarray
     gap: np.ndarray
-
-
-class _Point(NamedTuple):
-    """Multipliers, the trace there, and what Newton's step needs; trace inf where not feasible."""
-
-    multipliers: np.ndarray
-    trace: np.ndarray
-    log_barrier: np.ndarray
-    gradient: np.ndarray
-    hessian: np.ndarray
-    barrier_gradient: np.ndarray
-    barrier_hessian: np.ndarray
-    whitened_terms: np.ndarray
 
 
 def smallest_bound(
@@ -137,6 +117,8 @@ def contradiction(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
     """Whether (...) the multipliers prove that no theta meets all terms: sum tau_i T_i > 0."""
     total = np.einsum("...c,...cij->...ij", multipliers, problem.terms)
     total[..., 0, 0] -= _rounding(problem, multipliers)
+    if not (total[..., 0, 0] > 0.0).any():
+        return np.zeros(total.shape[:-2], dtype=bool)
     return ~np.isnan(cholesky(total)[..., -1, -1])
 
 
@@ -147,55 +129,10 @@ def optimal_multipliers(
 
     NaN in lanes in which no multipliers are feasible.
     """
-    flat, scale, size = _normalised(problem)
-    point = _evaluate(flat, _begin(flat))
-    # On the path to the optimum the gap is the barrier's weight times the number of its terms.
-    parameters = sum(problem.terms.shape[-2:-4:-1])
-    barrier, weight = _FIRST_BARRIER, point.trace
-    for _ in range(_MOST_BARRIERS):
-        last = barrier * parameters <= accuracy
-        # Relative to the trace, so that the units of the state do not matter.
-        weight = barrier * np.maximum(point.trace, np.finfo(float).tiny)
-        point = _centre(flat, point, weight, _FINE if last else _ROUGH)
-        if last:
-            break
-        barrier *= _STEP_OF_BARRIER
-    sound = np.isfinite(point.trace)
-    found = np.where(sound[:, None], point.multipliers / scale, np.nan)
-    least = np.where(sound, size**2 * _least_trace(flat, point, weight), np.nan)
+    task, scale, size = _normalised(problem)
+    found, least = least_on_path(task, accuracy)
     lanes = _lanes(problem)
-    return found.reshape(*lanes, -1), least.reshape(lanes)
-
-
-def _least_trace(problem: Problem, point: _Point, barrier: np.ndarray) -> np.ndarray:
-    """A trace (...) that no multipliers undercut, by feasible points of the dual programme.
-
-    With G = M^-1 E' E M^-1, E = image - L known at the best L, the dual variable is
-    Z = G + w M^-1 + s e1 e1', w > 0 and s >= -w / M_11. It is feasible if <Z, T_i> <= 0 for every
-    term, and its value is 2 tr P - Z_11. Weights w around that of the barrier are tried, each with
-    the least s. Source: Boyd and Vandenberghe (2004), Convex optimization, section 5.9.
-    """
-    matrix = _certificate(problem, point.multipliers)
-    whitener = np.linalg.inv(cholesky(matrix))
-    image, known = problem.image @ whitener.mT, problem.known @ whitener.mT
-    rows = _orthonormal_rows(known)
-    residual = image - image @ rows.mT @ rows
-    first = ((residual @ whitener[..., :1])[..., 0] ** 2).sum(-1)
-    of_inverse = np.trace(point.whitened_terms, axis1=-2, axis2=-1)
-    constant = problem.terms[..., 0, 0]
-    best = np.zeros(point.trace.shape)
-    for multiple in _DUAL_WEIGHTS:
-        weight = multiple * barrier
-        room = point.gradient - weight[:, None] * of_inverse
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = room / constant
-        least = np.where(constant < 0.0, ends, -np.inf).max(-1)
-        least = np.maximum(least, -weight / matrix[..., 0, 0])
-        most = np.where(constant > 0.0, ends, np.inf).min(-1)
-        feasible = (least <= most) & ((constant != 0.0) | (room >= 0.0)).all(-1)
-        corner = first + weight * (whitener[..., 0] ** 2).sum(-1) + least
-        best = np.where(feasible, np.maximum(best, 2.0 * point.trace - corner), best)
-    return best
+    return (found / scale).reshape(*lanes, -1), (size**2 * least).reshape(lanes)
 
 
 def _lanes(problem: Problem) -> tuple[int, ...]:
@@ -203,12 +140,12 @@ def _lanes(problem: Problem) -> tuple[int, ...]:
     return np.broadcast_shapes(*(array.shape[:-2] for array in arrays))
 
 
-def _normalised(problem: Problem) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """The same problem on one axis of lanes, image, known and terms of size one; how much terms and
-    image shrank.
+def _normalised(problem: Problem) -> tuple[BarrierTask, np.ndarray, np.ndarray]:
+    """The same problem on one axis of lanes, in other axes, image and terms of size one; how much
+    terms and image shrank.
 
     A run on an unstable plant reaches states whose squares overflow. The trace depends on
-    image' image alone, so that a long image gives way to its triangle (d, d).
+    image' image alone, so that a long image gives way to its triangle.
     """
     lanes = _lanes(problem)
 
@@ -222,14 +159,19 @@ def _normalised(problem: Problem) -> tuple[Problem, np.ndarray, np.ndarray]:
     scale = np.where(scale > 0, scale, 1.0)
     size = np.abs(image).max((-1, -2))
     size = np.where(size > 0, size, 1.0)
-    image = image / size[..., None, None]
-    if image.shape[-2] > image.shape[-1]:
-        image = squared(image.mT).mT
     known = spread(problem.known, 2)
-    flat = Problem(
-        terms / scale[..., None, None], problem.balls, image, known / row_units(known)[..., None]
-    )
-    return flat, scale, size
+    _, singular, rows = np.linalg.svd(known / row_units(known)[..., None])
+    # Singular values descend, and the axes are turned round: the null space comes first.
+    axes = rows[:, ::-1].mT
+    followed = (singular > _WEAK * singular.max(-1, keepdims=True, initial=0.0)).sum(-1)
+    width = terms.shape[-1] - int(followed.min(initial=known.shape[-1]))
+    free = np.arange(width) < (terms.shape[-1] - followed)[:, None]
+    image = (image / size[:, None, None]) @ axes[..., :width]
+    if image.shape[-2] > width:
+        image = squared(image.mT).mT
+    turned = axes.mT[:, None] @ (terms / scale[..., None, None]) @ axes[:, None]
+    task = BarrierTask(turned, problem.balls, axes[:, 0], image, free[:, None].astype(float))
+    return task, scale, size
 
 
 def _rounding(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
@@ -242,148 +184,3 @@ def _certificate(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
     matrix = np.einsum("...c,...cij->...ij", multipliers, problem.terms)
     matrix[..., 0, 0] += 1.0
     return matrix
-
-
-def _begin(problem: Problem) -> np.ndarray:
-    """Multipliers well inside: the balls share nine tenths, the rest takes next to nothing."""
-    terms, balls = problem.terms, problem.balls
-    count = terms.shape[-3]
-    radius = np.maximum(1.0, -terms[..., :balls, 0, 0])
-    start = np.zeros(terms.shape[:-2])
-    start[..., :balls] = 0.9 / (balls * radius)
-    if count > balls:
-        room = np.linalg.eigvalsh(_certificate(problem, start))[..., :1]
-        size = np.sqrt((terms[..., balls:, :, :] ** 2).sum((-1, -2)))
-        start[..., balls:] = 0.1 * room / (count * np.maximum(size, 1.0))
-    return start
-
-
-def _evaluate(problem: Problem, multipliers: np.ndarray) -> _Point:
-    """Everything at given multipliers."""
-    lower = cholesky(_certificate(problem, multipliers))
-    inside = ~np.isnan(lower[..., -1, -1]) & (multipliers > 0).all(-1)
-    whitener = np.linalg.inv(lower)
-    terms = whitener[..., None, :, :] @ problem.terms @ whitener.mT[..., None, :, :]
-    image, known = problem.image @ whitener.mT, problem.known @ whitener.mT
-    rows = _orthonormal_rows(known)
-    residual = image - image @ rows.mT @ rows
-    # tr P = |residual|^2 and its derivatives, with the gain always at its best.
-    weighted = residual[..., None, :, :] @ terms
-    free = weighted - weighted @ (rows.mT @ rows)[..., None, :, :]
-    inverse = 1.0 / np.where(multipliers > 0, multipliers, np.nan)
-    log_barrier = np.log(inverse).sum(-1)
-    log_barrier -= 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
-    curvature = np.einsum("...aij,...bij->...ab", terms, terms)
-    curvature += (inverse**2)[..., None] * np.eye(inverse.shape[-1])
-    return _Point(
-        multipliers,
-        np.where(inside, (residual**2).sum((-1, -2)), np.inf),
-        log_barrier,
-        -(weighted * residual[..., None, :, :]).sum((-1, -2)),
-        2.0 * np.einsum("...aij,...bij->...ab", weighted, free),
-        -np.trace(terms, axis1=-2, axis2=-1) - inverse,
-        curvature,
-        terms,
-    )
-
-
-def _centre(problem: Problem, point: _Point, weight: np.ndarray, enough: float) -> _Point:
-    """Newton's method on trace / weight + log barrier; lanes that are done are left alone."""
-    waiting, before = np.arange(len(weight)), np.full(len(weight), np.inf)
-    for _ in range(_NEWTON_STEPS):
-        here, at = _some(point, waiting), weight[waiting]
-        gradient = here.gradient / at[:, None] + here.barrier_gradient
-        hessian = here.hessian / at[:, None, None] + here.barrier_hessian
-        step = _newton_step(hessian, gradient)
-        decrement = -(gradient * step).sum(-1)
-        # Newton's step squares a small decrement, until only rounding is left of it.
-        stalled = (decrement < _SMALL) & (decrement > 0.1 * before[waiting])
-        active = (decrement > enough) & ~stalled
-        before[waiting] = decrement
-        if not active.any():
-            break
-        waiting = waiting[active]
-        moved = _search(problem, point, waiting, step[active], decrement[active], weight)
-        waiting = waiting[moved]
-    return point
-
-
-def _search(
-    problem: Problem,
-    point: _Point,
-    lanes: np.ndarray,
-    step: np.ndarray,
-    decrement: np.ndarray,
-    weight: np.ndarray,
-) -> np.ndarray:
-    """Move the point in some lanes along their steps, as far as it stays inside and pays (Armijo).
-
-    Returns which of them (bool) have moved: the others' gain is lost in rounding.
-    """
-    here, at = _some(point, lanes), weight[lanes]
-    height = here.trace / at + here.log_barrier
-    unseen = 1e-14 * here.trace / at
-    length = np.minimum(1.0, 0.9 * _way_to_the_edge(here, step))
-    waiting = np.arange(len(lanes))
-    for _ in range(_HALVINGS):
-        target = here.multipliers[waiting] + length[waiting, None] * step[waiting]
-        trial = _evaluate(_part(problem, lanes[waiting]), target)
-        drop = height[waiting] - (trial.trace / at[waiting] + trial.log_barrier)
-        good = drop >= 0.1 * length[waiting] * decrement[waiting] - unseen[waiting]
-        if good.all() and len(waiting) == len(point.trace):
-            for whole, part in zip(point, trial, strict=True):
-                whole[...] = part
-            return np.ones(len(lanes), dtype=bool)
-        for whole, part in zip(point, trial, strict=True):
-            whole[lanes[waiting[good]]] = part[good]
-        waiting = waiting[~good]
-        if not len(waiting):
-            break
-        length[waiting] *= 0.5
-    moved = np.ones(len(lanes), dtype=bool)
-    moved[waiting] = False
-    return moved
-
-
-def _way_to_the_edge(point: _Point, step: np.ndarray) -> np.ndarray:
-    """How many steps (...) lead to where M or a multiplier is no longer positive."""
-    change = np.einsum("...c,...cij->...ij", step, point.whitened_terms)
-    fall = np.maximum(-np.linalg.eigvalsh(change)[..., 0], (-step / point.multipliers).max(-1))
-    return 1.0 / np.maximum(fall, np.finfo(float).tiny)
-
-
-def _some(point: _Point, lanes: np.ndarray) -> _Point:
-    if len(lanes) == len(point.trace):
-        return point
-    return _Point(*(part[lanes] for part in point))
-
-
-def _part(problem: Problem, lanes: np.ndarray) -> Problem:
-    if len(lanes) == len(problem.terms):
-        return problem
-    return problem._replace(
-        terms=problem.terms[lanes], image=problem.image[lanes], known=problem.known[lanes]
-    )
-
-
-def _newton_step(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """-hessian^-1 gradient (lanes, c), with unit diagonal first; 0 in lanes without one."""
-    scale = 1.0 / np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
-    balanced = hessian * scale[:, :, None] * scale[:, None, :]
-    right = gradient * scale
-    sound = np.logical_and(np.isfinite(balanced).all((-1, -2)), np.isfinite(right).all(-1))
-    if not sound.all():
-        balanced, right = balanced * sound[:, None, None], right * sound[:, None]
-    # Next to nothing on the diagonal: no lane may be singular, or all would fail.
-    size = balanced.shape[-1]
-    balanced.reshape(-1, size * size)[:, :: size + 1] += 1e-14
-    return -np.linalg.solve(balanced, right[..., None])[..., 0] * scale
-
-
-def _orthonormal_rows(matrix: np.ndarray) -> np.ndarray:
-    """Rows (..., m, d) that span those of matrix (..., m, d); weak ones fade to zero."""
-    gram = matrix @ matrix.mT
-    total = np.trace(gram, axis1=-2, axis2=-1)[..., None, None]
-    size = matrix.shape[-2]
-    weak = (_WEAK * total + np.finfo(float).tiny) * np.eye(size)
-    return np.linalg.inv(cholesky(gram + weak)) @ matrix

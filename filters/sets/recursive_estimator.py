@@ -78,7 +78,8 @@ def problem(
     gives the same P with fewer unknowns.
     """
     of = unknowns(position, cycle)
-    size, seen = of.image.shape[-1], position.shape[-1]
+    image, known = (join_columns(np.zeros((map_.shape[-2], 1)), map_) for map_ in of)
+    size, seen = image.shape[-1], position.shape[-1]
     samples, numbers = cycle.noise.shape[-2:]
     # A hair more than the bounds: what is on them in exact arithmetic may be rounded out.
     hair = 1.0 + rounding_bound(size)
@@ -90,7 +91,7 @@ def problem(
         [ball(1, seen, size, hair), *(ball(*of_noise, size, n * hair) for of_noise, n in groups)]
     )
     terms = join_stacks(balls, _losers(before, cycle, position))
-    return Problem(terms, len(balls), of.image, of.known)
+    return Problem(terms, len(balls), image, known)
 
 
 def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> np.ndarray:

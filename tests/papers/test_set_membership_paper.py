@@ -271,4 +271,6 @@ def test_a_lost_lane_hurts_nobody(step):
     hurt = step(Ellipsoid(centre, before.factor), model, received.values[:, 0]).after
     whole = step(before, model, received.values[:, 0]).after
     assert np.isnan(hurt.factor[1]).all()
-    np.testing.assert_allclose(hurt.factor[[0, 2]], whole.factor[[0, 2]], atol=1e-6)
+    # Not the factors: rounding decides the sign of a column that is nearly zero.
+    alone, beside = shape_matrix(whole)[[0, 2]], shape_matrix(hurt)[[0, 2]]
+    np.testing.assert_allclose(beside, alone, atol=1e-9)
