@@ -9,12 +9,19 @@ what the sensors really do.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.corrections import channels_of_nodes
-from concord.plants.vehicle.drive_log import logged_channels, read_car, read_log
+from concord.plants.vehicle.drive_log import (
+    POSITION_CHANNELS,
+    logged_channels,
+    read_car,
+    read_log,
+)
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
@@ -42,6 +49,7 @@ from concord.topology.names import unknown_name
 TIME_STEP_S = 0.005
 """One cycle of the car's bus."""
 
+T = TypeVar("T")
 Errors = tuple[tuple[SensorError, ...], ...]
 
 
@@ -61,7 +69,18 @@ on, or a quarter as much. Readings have 2 % of outliers of 20 times the noise, o
 standard deviation."""
 
 
-@cache
+def _while_files_stay(read: Callable[[str], T]) -> Callable[[str], T]:
+    """A function of a log's folder, called again only after one of its files has changed."""
+    cached = cache(lambda data, _files: read(data))
+
+    def read_once(data: str) -> T:
+        stats = {one.name: one.stat() for one in Path(data).glob("*")}
+        return cached(data, tuple((n, at.st_mtime_ns, at.st_size) for n, at in stats.items()))
+
+    return read_once
+
+
+@_while_files_stay
 def _logged(data: str) -> DrivenOnce:
     return replayed(*read_log(data), TIME_STEP_S)
 
@@ -106,18 +125,31 @@ def vehicle_of(scenario: Scenario) -> VehicleNetwork:
 
 
 @cache
-def _believed(name: str, data: str | None, noise_factor: float) -> DrivenCar:
-    car: Car = FITTED_CARS[name] if data is None else read_car(data)
-    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor)
+def _believed(car: Car, noise_factor: float, positioned: bool) -> DrivenCar:
+    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor, positioned)
+
+
+@_while_files_stay
+def _car(data: str) -> Car:
+    return read_car(data)
+
+
+@_while_files_stay
+def _positioned(data: str) -> bool:
+    """Whether a log has positions, so that the state holds the place of the car."""
+    return set(POSITION_CHANNELS) <= logged_channels(data)
 
 
 def _model(scenario: Scenario) -> DrivenCar:
     vehicle = vehicle_of(scenario)
-    return _believed(vehicle.car, vehicle.data, vehicle.process_noise)
+    if vehicle.data is None:
+        return _believed(FITTED_CARS[vehicle.car], vehicle.process_noise, False)
+    return _believed(_car(vehicle.data), vehicle.process_noise, _positioned(vehicle.data))
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    own = sensor(node, _model(scenario).single_track)
+    model = _model(scenario)
+    own = sensor(node, model.single_track, model.positioned)
     return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
 
 
@@ -132,21 +164,16 @@ def _gate(probability: float, channels: int) -> float | None:
     return float(chdtri(channels, probability))
 
 
-@cache
-def _slip_variance(data: str) -> float:
-    return read_car(data).sensors.side_slip.noise ** 2
-
-
 def _reference_cov(scenario: Scenario) -> float:
     """Variance of the side slip that a log has in place of the truth."""
     data = vehicle_of(scenario).data
-    return 0.0 if data is None else _slip_variance(data)
+    return 0.0 if data is None else _car(data).sensors.side_slip.noise ** 2
 
 
-@cache
+@_while_files_stay
 def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
     there = logged_channels(data)
-    of_nodes = enumerate(channels_of_nodes(read_car(data)))
+    of_nodes = enumerate(channels_of_nodes(_car(data)))
     return tuple(node for node, names in of_nodes if there.isdisjoint(names))
 
 
