@@ -73,7 +73,7 @@ class WindowFilter:
 
     A record that cannot be used is counted; its step keeps the prediction. `silence_fits`: sources
     withhold records that fit the prediction, so that a record which is not there counts as one of
-    no surprise.
+    no surprise. `late_steps` (N,): after how many steps the sensor of each node delivers a reading.
     """
 
     model: Model
@@ -81,6 +81,11 @@ class WindowFilter:
     sensors: AllSensors
     codecs: Sequence[RecordCodec | None]
     silence_fits: bool = False
+    late_steps: tuple[int, ...] = ()
+
+    def late(self, node: int) -> int:
+        """Return the steps from a reading of a node to its delivery."""
+        return self.late_steps[node] if self.late_steps else 0
 
     def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:
         """Windows of no steps on priors (R, M, n), for at most `width` steps."""

@@ -31,6 +31,8 @@ DRIVE, COLUMNS, CAR = "drive.csv", "columns.toml", "car.toml"
 
 POSITION_CHANNELS = ("position_x", "position_y")
 _FIXES = ("latitude", "longitude")
+_CHANNELS = dict(zip(("steering_wheel", *_FIXES), ("steering", *POSITION_CHANNELS), strict=True))
+"""Channel of a column that is read as another quantity."""
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
@@ -193,8 +195,18 @@ def logged_channels(folder: str | Path) -> frozenset[str]:
         ValueError: as `read_folder`.
     """
     columns = set(_from_toml(Path(folder) / COLUMNS, columns_from_toml).columns)
-    columns |= {"steering"} if "steering_wheel" in columns else set()
-    return frozenset(columns | (set(POSITION_CHANNELS) if _FIXES[0] in columns else set()))
+    return frozenset(columns | {_CHANNELS[name] for name in columns & _CHANNELS.keys()})
+
+
+def delays_in(folder: str | Path) -> dict[str, float]:
+    """Return the delay in s that `columns.toml` gives for each of `logged_channels`.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    columns = _from_toml(Path(folder) / COLUMNS, columns_from_toml).columns
+    delays = {name: column.delay_s for name, column in columns.items()}
+    return {_CHANNELS[name]: delays[name] for name in delays.keys() & _CHANNELS.keys()} | delays
 
 
 def speeds_in(channels: Mapping[str, ChannelReadings]) -> tuple[str, ...]:

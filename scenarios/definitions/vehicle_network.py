@@ -6,6 +6,7 @@ learns how noisy its own sensors are (with --filter ukf it believes their data s
 what the sensors really do.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,9 +16,10 @@ from typing import TypeVar
 import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.corrections import channels_of_nodes
+from concord.plants.vehicle.corrections import SENSORS_OF_NODES, channels_of_nodes
 from concord.plants.vehicle.drive_log import (
     POSITION_CHANNELS,
+    delays_in,
     logged_channels,
     read_car,
     read_log,
@@ -44,6 +46,7 @@ from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.filters import AdaptiveUnscented
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import VehicleNetwork
+from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
@@ -183,6 +186,49 @@ def _without_data(scenario: Scenario) -> tuple[int, ...]:
     return () if data is None else _logged_nodes_without_data(data)
 
 
+@_while_files_stay
+def _late(data: str) -> tuple[int, ...]:
+    """Steps from the instant of a reading to its delivery, which waits for the last channel."""
+    car, delays = _car(data), delays_in(data)
+    late = []
+    for channels, sensors in zip(channels_of_nodes(car), SENSORS_OF_NODES, strict=True):
+        pairs = zip(channels, sensors, strict=True)
+        there = [(name, getattr(car.sensors, sensor)) for name, sensor in pairs if name in delays]
+        longest_s = max((delays[name] + sheet.delay_s for name, sheet in there), default=0.0)
+        late.append(max(0, math.ceil(longest_s / TIME_STEP_S - 1e-6)))
+    return tuple(late)
+
+
+def _late_steps(scenario: Scenario) -> tuple[int, ...]:
+    vehicle = vehicle_of(scenario)
+    return () if vehicle.data is None or vehicle.arrival == "stamped" else _late(vehicle.data)
+
+
+def _check_arrival(scenario: Scenario) -> None:
+    """Refuse late readings that no window can put back."""
+    vehicle, rule = vehicle_of(scenario), scenario.rule
+    if vehicle.arrival == "stamped":
+        return
+    if vehicle.data is None:
+        raise ValueError("--arrival late: of a log, but this drive is simulated; add --data")
+    if not isinstance(rule, MeasurementFlooding):
+        raise ValueError(
+            f"--arrival late: rule {rule.name} has no window that puts readings back; use --rule "
+            "labelled --filter ukf --cluster fitted"
+        )
+    if vehicle.sensor_gate or rule.gate_probability or rule.withhold_below:
+        raise ValueError(
+            "--arrival late: a node judges a reading before it comes; leave --sensor-gate, "
+            "--gate-probability and --withhold-below out"
+        )
+    longest, window = max(_late(vehicle.data)), rule.window_steps or LEAST_WINDOW_STEPS
+    if longest >= window:
+        raise ValueError(
+            f"--arrival late: readings come up to {longest} steps late, but the window has "
+            f"{window}; use --window-steps {longest + LEAST_WINDOW_STEPS}"
+        )
+
+
 def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
     return outside_model(_model(scenario).single_track, states)
 
@@ -204,6 +250,7 @@ def _check(scenario: Scenario) -> None:
             f"{', '.join(simulated_only)}: of simulated drives, but --data {vehicle.data} is a "
             "logged one, which has its own car, course and noise; leave one of the two out"
         )
+    _check_arrival(scenario)
     plant = _plant(scenario)
     if scenario.steps > plant.steps:
         raise ValueError(
@@ -230,5 +277,6 @@ DEFINITION = ScenarioDefinition(
     all_steps=_all_steps,
     reference_cov=_reference_cov,
     without_data=_without_data,
+    late_steps=_late_steps,
     outside=_outside,
 )
