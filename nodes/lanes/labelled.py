@@ -34,7 +34,7 @@ from concord.nodes.rules.record_sets import (
     packed,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on, steps_late
 
 
 class BatchedLabelledContent(NamedTuple):
@@ -378,7 +378,7 @@ class BatchedFlooding:
 
     @cached_property
     def _late(self) -> np.ndarray:
-        return np.array([self.filter.late(node) for node in range(self._nodes)])
+        return np.array([steps_late(self.filter, node) for node in range(self._nodes)])
 
     @property
     def _window(self) -> int:

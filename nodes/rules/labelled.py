@@ -31,7 +31,7 @@ from concord.nodes.rules.record_sets import (
     with_record,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
 
 # Steps of silence after which a neighbour is owed a checkpoint.
 GAP_STEPS = 16
@@ -124,7 +124,7 @@ class LabelledFlooding:
         return LabelledContent(
             windows=windows,
             records=({},) * width,
-            waiting=(None,) * self.filter.late(self.node),
+            waiting=(None,) * steps_late(self.filter, self.node),
             unread=(),
             held=no_records((), width, self._nodes),
             known=known,
