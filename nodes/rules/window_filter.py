@@ -109,7 +109,7 @@ class WindowFilter:
     def opened(
         self, windows: Windows, control: np.ndarray | None, held: np.ndarray | None = None
     ) -> Windows:
-        """With one step more; the oldest, of which lanes hold `held` (R, M, N) or all, in the base."""
+        """With one step more; the oldest, of which lanes hold `held` (R, M, N), in the base."""
         base, (mean, cov), belief = windows.base, windows.posteriors, windows.beliefs
         if windows.step >= windows.first_step and windows.first == 0:
             base = Gaussian(mean[:, :, 0].copy(), cov[:, :, 0].copy())
