@@ -151,7 +151,8 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
     sensors = tuple(definition.sensor(scenario, node) for node in range(scenario.nodes))
     groups = definition.sensor_groups(scenario)
-    return Everybody(scenario, schedule, sensors, groups, (readings, channels))
+    late = definition.late_steps(scenario)
+    return Everybody(scenario, schedule, sensors, groups, (readings, channels), late)
 
 
 def build_environment(setup: Setup, standing: Standing = UNCHANGED) -> EnvironmentConfig:

@@ -168,7 +168,8 @@ def _window_filter(
     sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
     rule = flooding_of(everybody.scenario)
     kind = WindowSets if isinstance(rule, EllipsoidFlooding) else WindowFilter
-    return kind(model, filter, sensors, frames.codecs, rule.withhold_below > 0)
+    silence_fits = rule.withhold_below > 0
+    return kind(model, filter, sensors, frames.codecs, silence_fits, everybody.late_steps)
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------

@@ -24,11 +24,13 @@ from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import DynamicSchedule, FlexRay, occupancy_of, trigger_of
-from concord.scenarios.types.rules import EllipsoidFlooding, MeasurementFlooding
+from concord.scenarios.types.rules import (
+    LEAST_WINDOW_STEPS,
+    EllipsoidFlooding,
+    MeasurementFlooding,
+)
 
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
-# A window costs neither bytes nor time of the bus, so it is longer than most networks need.
-_LEAST_WINDOW_STEPS = 32
 _LOSSY_DIGEST_STEPS = 6
 _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
@@ -119,7 +121,7 @@ def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     if asked is not None:
         return asked
     latency = latency_steps(scenario, neighbours)
-    return min(max(latency, _LEAST_WINDOW_STEPS), MAX_WINDOW_STEPS)
+    return min(max(latency, LEAST_WINDOW_STEPS), MAX_WINDOW_STEPS)
 
 
 def digest_of(scenario: Scenario) -> int:

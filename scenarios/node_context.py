@@ -19,7 +19,7 @@ class Everybody(NamedTuple):
     """Knowledge that all nodes have of all nodes.
 
     `sensors` has one entry per node, and `groups` the same with one value for nodes that are alike;
-    readings of each are of shape `readings_shape` (r, d).
+    readings of each are of shape `readings_shape` (r, d); `late_steps` as in `WindowFilter`.
     """
 
     scenario: Scenario
@@ -27,6 +27,7 @@ class Everybody(NamedTuple):
     sensors: tuple[Sensor | None, ...]
     groups: tuple[SensorGroup, ...]
     readings_shape: tuple[int, int]
+    late_steps: tuple[int, ...] = ()
 
 
 class Beginning(NamedTuple):

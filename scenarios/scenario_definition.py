@@ -114,6 +114,8 @@ class ScenarioDefinition(NamedTuple):
             give.
         without_data: nodes of a scenario to which no reading ever comes. Where all hear all, they
             send no share and own no slot.
+        late_steps: after how many steps the sensor of each node delivers a reading, for rules that
+            filter a window; empty where all deliver at once.
         outside: (scenario, states (..., n)) -> for which states (...) the model does not hold, by
             the reason; None for a model that always does.
     """
@@ -135,6 +137,7 @@ class ScenarioDefinition(NamedTuple):
     sensors: Callable[[Scenario], Sensor] | None = None
     reference_cov: Callable[[Scenario], np.ndarray | float] = lambda _: 0.0
     without_data: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
+    late_steps: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
 
     def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:

@@ -55,8 +55,10 @@ def test_its_python_holds():
 
 
 def test_its_files_are_read():
-    columns, car, noise, sensors = blocks(PAGE, "toml")
+    columns, position, car, noise, sensors = blocks(PAGE, "toml")
     assert columns_from_toml(columns).steering_wheel is not None
+    receiver = columns_from_toml(columns + position)
+    assert receiver.latitude is not None and receiver.longitude is not None
     assert car_from_toml(car).steering_ratio == 15.5
     read = car_from_toml(f"{car}\n{noise}").process_noise
     np.testing.assert_allclose(read.std, ProcessNoise().std, rtol=5e-3)

@@ -38,7 +38,6 @@ from concord.plants.vehicle.corrections import (
 from concord.plants.vehicle.drive_log import speeds_in
 from concord.plants.vehicle.model import SingleTrack, Tyre, axles_of
 from concord.plants.vehicle.network import (
-    PRIOR_STD,
     SIDE_SLIP,
     SPEED,
     YAW_RATE,
@@ -46,7 +45,7 @@ from concord.plants.vehicle.network import (
     sensor,
 )
 from concord.plants.vehicle.parameters import Car
-from concord.plants.vehicle.replay import start_of
+from concord.plants.vehicle.start import FirstBelief, start_of
 
 DIFFERENCE = 1e-5
 """Of a parameter, in spreads."""
@@ -89,20 +88,25 @@ class LoggedReadings:
             there as often as a step has several readings of it.
         channels: (m,), which ones they are.
         counted: (steps,), whether innovations count: the car is fast enough.
-        prior_mean: (6,).
+        start: belief at the first step, of 6 states, or of 8 where positions are logged.
         time_step_s: of a run.
     """
 
     readings: np.ndarray
     channels: tuple[int, ...]
     counted: np.ndarray
-    prior_mean: np.ndarray
+    start: FirstBelief
     time_step_s: float
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """The sensor of each channel."""
         return tuple(_SENSORS[channel] for channel in self.channels)
+
+    @property
+    def positioned(self) -> bool:
+        """Whether positions are among the readings."""
+        return "position" in self.sensors
 
 
 def logged_readings(
@@ -130,7 +134,7 @@ def logged_readings(
         tuple(there),
         (np.nan_to_num(speed) >= min_speed_m_s)
         & (np.minimum(since_s, since_s[-1] - since_s) >= ENDS_S),
-        start_of(channels),
+        start_of(channels, car.sensors),
         time_step_s,
     )
 
@@ -273,10 +277,15 @@ class _Filter:
         self._log, self._count, self._sheets = log, count, lanes.sensors
         self._before = before.sensors
         track = SingleTrack(lanes, axles_of(lanes), tyre, log.time_step_s)
-        self._model = DrivenCar(track)
-        self._noise_cov = process_noise_covs(lanes.process_noise, log.time_step_s)
-        self._noise_cov = np.broadcast_to(self._noise_cov, (count, 6, 6))
-        self._sensors = [sensor(node, track) for node in range(len(SENSORS_OF_NODES))]
+        self._model = DrivenCar(track, positioned=log.positioned)
+        self._states = len(log.start.mean)
+        self._noise_cov = process_noise_covs(lanes.process_noise, log.time_step_s, self._states)
+        self._noise_cov = np.broadcast_to(self._noise_cov, (count, self._states, self._states))
+        nodes = range(len(SENSORS_OF_NODES))
+        self._sensors = [sensor(node, track, log.positioned) for node in nodes]
+        every = enumerate(_SENSORS)
+        measured = [place for place, name in every if log.positioned or name != "position"]
+        self._places = [measured.index(channel) for channel in log.channels]
         # The log was read with the ratio of the file.
         self._gain = lanes.steering_ratio / before.steering_ratio
         sheets = [getattr(lanes.sensors, name) for name in log.sensors]
@@ -285,11 +294,11 @@ class _Filter:
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Innovations (B, lanes, m) that count, and their covariances, block by block."""
-        log, rule = self._log, scaled_unscented(6)
+        log, n, rule = self._log, self._states, scaled_unscented(self._states)
         transition = partial(self._model.transition, control=None, step=0)
         belief = Gaussian(
-            np.broadcast_to(log.prior_mean, (self._count, 6)),
-            np.broadcast_to(np.diag(np.square(PRIOR_STD)), (self._count, 6, 6)),
+            np.broadcast_to(log.start.mean, (self._count, n)),
+            np.broadcast_to(np.diag(np.square(log.start.std)), (self._count, n, n)),
         )
         readings, kept = self._readings(), []
         for step, (reading, counts) in enumerate(zip(readings, log.counted, strict=True)):
@@ -321,7 +330,7 @@ class _Filter:
         return np.stack(columns, axis=-1)
 
     def _measure(self, state: np.ndarray) -> np.ndarray:
-        """The channels (S, lanes, m) of states (S, lanes, 6)."""
+        """The channels (S, lanes, m) of states (S, lanes, n)."""
         every = [one.measure(state, 0) for one in self._sensors]
         steering = self._sheets.steering.offset
         every[2][..., 0] = self._gain * (every[2][..., 0] - steering) + steering
@@ -329,7 +338,7 @@ class _Filter:
         slip = np.arctan(np.tan(state[..., SIDE_SLIP]) + turning / np.maximum(state[..., SPEED], 1))
         slip += self._sheets.side_slip.offset
         stacked = np.concatenate([*every, slip[..., None]], axis=-1)
-        return stacked[..., list(self._log.channels)]
+        return stacked[..., self._places]
 
     def _residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., m), a course within (-pi, pi]."""

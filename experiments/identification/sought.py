@@ -29,6 +29,7 @@ _UNITS = {
     "steering": "rad",
     "ground_speed": "m/s",
     "course": "rad",
+    "position": "m",
     "side_slip": "rad",
 }
 _OFFSETS = {
@@ -41,7 +42,7 @@ _OFFSETS = {
 _SHARED_DELAYS = {
     "wheel speed": ("wheel_speed",),
     "inertial unit": ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
-    "satellite receiver": ("ground_speed", "course"),
+    "satellite receiver": ("ground_speed", "course", "position"),
     "side slip": ("side_slip",),
 }
 """Sensors that share a delay."""
@@ -110,6 +111,7 @@ def sought_of(
         strict=True,
     )
     sensors = list(dict.fromkeys(sensor for sensor, channel in every if channel in read))
+    # At an even speed an antenna that is further ahead reads as one with less delay.
     arms = (("lateral_acceleration", "accelerometer"), ("side_slip", "slip sensor"))
     for sensor, name in arms:
         if sensor in sensors:
@@ -161,7 +163,7 @@ def car_with(car: Car, sought: Sequence[Sought], spreads: np.ndarray) -> Car:
     return car
 
 
-def process_noise_covs(noise: ProcessNoise, time_step_s: float) -> np.ndarray:
-    """Covariances (..., 6, 6) of a step, for values (...) of the noise."""
-    std = np.stack(np.broadcast_arrays(*noise.std), axis=-1)
+def process_noise_covs(noise: ProcessNoise, time_step_s: float, states: int) -> np.ndarray:
+    """Covariances (..., states, states) of a step, for values (...) of the noise."""
+    std = np.stack(np.broadcast_arrays(*noise.std[:states]), axis=-1)
     return time_step_s * np.square(std)[..., None] * np.eye(std.shape[-1])

@@ -1,10 +1,12 @@
 """Specification of a sweep: fields of a scenario with several values each, and their cells."""
 
+import hashlib
 import itertools
 import math
 import re
 import typing
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -42,7 +44,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
         samples: cells of a Latin hypercube; None for every combination.
         change_step: the step from which convergence is timed.
         keep: "histories" of every step of a run, "figures" of every run, or "moments" over runs.
-        digests: of the files that values come from (FILE.py:NAME).
+        digests: of the files that values come from (FILE.py:NAME), and of folders of recorded data.
     """
 
     base: dict[str, Value]
@@ -127,10 +129,24 @@ def specify(
     )
     named = [value for values in (base.values(), *levels.values()) for value in values]
     digests = {str(name): source_of(str(name)).digest for name in named if is_source_name(name)}
+    folders = [str(value) for value in (base.get("data"), *levels.get("data", ())) if value]
+    digests |= {folder: _digest_of_folder(Path(folder)) for folder in folders}
     return Specification(
         base=base, levels=levels, ranges=ranges, runs=runs, first_run=first_run, samples=samples,
         change_step=change_step, digests=digests,
     )  # fmt: skip
+
+
+def _digest_of_folder(folder: Path) -> str:
+    """Return the digest of the names and contents of the files of a folder, "" where it is none."""
+    if not folder.is_dir():
+        return ""
+    digest = hashlib.sha256()
+    for file in sorted(one for one in folder.iterdir() if one.is_file()):
+        with file.open("rb") as stream:
+            content = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest.update(f"{file.name} {content}\n".encode())
+    return digest.hexdigest()[:16]
 
 
 def cells_of(specification: Specification) -> list[Cell]:

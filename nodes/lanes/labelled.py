@@ -34,20 +34,21 @@ from concord.nodes.rules.record_sets import (
     packed,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on, steps_late
 
 
 class BatchedLabelledContent(NamedTuple):
     """Knowledge of all nodes; `concord.nodes.rules.labelled.LabelledContent` in arrays.
 
-    lengths: bytes of each record (R, W, N). held: (R, N, W, B). known: (R, E, K, W, B) of each
-    link, what its sender was told and has confirmed. reports: (R, N, 2). owed: (R, N). heard:
-    steps (R, E). share_cycles: (R, E). sent_cycle: (R, N). carried: of the step, without what is
-    held.
+    lengths: bytes of each record (R, W, N). waiting: to be delivered. held: (R, N, W, B). known:
+    (R, E, K, W, B) of each link, what its sender was told and has confirmed. reports: (R, N, 2).
+    owed: (R, N). heard: steps (R, E). share_cycles: (R, E). sent_cycle: (R, N). carried: of the
+    step, without what is held.
     """
 
     windows: Windows
     lengths: np.ndarray
+    waiting: tuple[tuple[np.ndarray, np.ndarray], ...]
     held: RecordSets
     known: RecordSets
     reports: np.ndarray
@@ -105,10 +106,12 @@ class BatchedFlooding:
         """The priors, and no record."""
         runs, links = len(prior.mean), len(self.links.sender)
         nothing = partial(no_records, window_steps=self._window, nodes=self._nodes)
+        none = np.full((runs, self._nodes, *self.filter.sensors.delivered), np.nan)
         # A node without neighbours has no link, and yet the arrays have a place.
         return BatchedLabelledContent(
             windows=self.filter.start(prior, self.first_step, self._window),
             lengths=np.zeros((runs, self._window, self._nodes), dtype=np.int64),
+            waiting=((none, np.zeros(none.shape[:2], np.int64)),) * int(self._late.max()),
             held=nothing((runs, self._nodes)),
             known=nothing((runs, max(links, 1), self.choice.levels)),
             reports=np.zeros((runs, self._nodes, 2), dtype=np.int64),
@@ -146,19 +149,25 @@ class BatchedFlooding:
                 beyond[:, node] = codec.beyond(readings[:, node]) > 0
         oldest = flags_of(content.held[:, :, :1], self._nodes)[:, :, 0]
         windows = self.filter.opened(content.windows, control, oldest)
-        newest = np.array([self._window - 1])
         held, window_lengths = one_step_on(content.held), one_place_on(content.lengths, 1)
-        held[:, :, -1] = packed(np.eye(self._nodes, dtype=bool) & (lengths > 0)[..., None])
-        window_lengths[:, -1] = lengths
-        counters = added(content.counters, failures)
+        taken, right = (*content.waiting, (written, lengths)), windows.right
+        for late in sorted(set(self._late.tolist())):
+            place, (values, sizes) = self._window - 1 - late, taken[-1 - late]
+            come = (sizes > 0) & (self._late == late)
+            held[:, :, place] |= packed(np.eye(self._nodes, dtype=bool) & come[..., None])
+            window_lengths[:, place] += np.where(come, sizes, 0)
+            new = np.where(come[..., None, None], values, np.nan)[:, None]
+            windows = self.filter.with_readings(windows, np.array([place]), new)
+            right = np.where(come, np.minimum(right, place), right)
         return content._replace(
-            windows=self.filter.with_readings(windows, newest, written[:, None]),
+            windows=windows._replace(right=right),
+            waiting=taken[1:],
             lengths=window_lengths,
             held=held,
             known=one_step_on(content.known),
             owed=owed,
             carried=np.zeros_like(content.carried),
-            counters=added(counters, {"record-range": beyond}),
+            counters=added(added(content.counters, failures), {"record-range": beyond}),
         )
 
     def bids(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
@@ -366,6 +375,10 @@ class BatchedFlooding:
     @property
     def _nodes(self) -> int:
         return self.links.nodes
+
+    @cached_property
+    def _late(self) -> np.ndarray:
+        return np.array([steps_late(self.filter, node) for node in range(self._nodes)])
 
     @property
     def _window(self) -> int:

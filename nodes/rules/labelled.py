@@ -31,7 +31,7 @@ from concord.nodes.rules.record_sets import (
     with_record,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
 
 # Steps of silence after which a neighbour is owed a checkpoint.
 GAP_STEPS = 16
@@ -43,6 +43,7 @@ class LabelledContent(NamedTuple):
     Attributes:
         windows: the window to filter. records: what was taken by which source, for each place of
             the window. held: the same as a set (W, B).
+        waiting: own records that the sensor has yet to deliver, the oldest first.
         unread: (place, source) of the records that the window does not have yet.
         known: (J, K, W, B), what each neighbour was told and has confirmed (`RecordChoice`).
         reports: (2,), the records that digests told of, and those of them that were lacking.
@@ -55,6 +56,7 @@ class LabelledContent(NamedTuple):
 
     windows: Windows
     records: tuple[Mapping[int, bytes], ...]
+    waiting: tuple[bytes | None, ...]
     unread: tuple[tuple[int, int], ...]
     held: RecordSets
     known: RecordSets
@@ -122,6 +124,7 @@ class LabelledFlooding:
         return LabelledContent(
             windows=windows,
             records=({},) * width,
+            waiting=(None,) * steps_late(self.filter, self.node),
             unread=(),
             held=no_records((), width, self._nodes),
             known=known,
@@ -154,10 +157,12 @@ class LabelledFlooding:
         record = None if codec is None else codec.encode(delivered)
         if codec is not None and codec.beyond(delivered):
             failures = (*failures, "record-range")
-        content = self._moved_on(content, driven)
+        record, *waiting = (*content.waiting, record)
+        content = self._moved_on(content, driven)._replace(waiting=tuple(waiting))
         if record is None:
             return content, failures
-        return self._with_records(content, {(self._newest, self.node): record}), failures
+        place = self._newest - len(waiting)
+        return self._with_records(content, {(place, self.node): record}), failures
 
     def _moved_on(self, content: LabelledContent, control: np.ndarray | None) -> LabelledContent:
         """A step later; a neighbour that never got the records forgotten is owed a checkpoint."""

@@ -72,8 +72,8 @@ class WindowFilter:
     """Knowledge common to all nodes: the plant, and the sensor and records of each node.
 
     A record that cannot be used is counted; its step keeps the prediction. `silence_fits`: sources
-    withhold records that fit the prediction, so that a record which is not there counts as one of
-    no surprise.
+    withhold what fits the prediction, so that no record counts as one of no surprise. `late_steps`
+    (N,): from a reading of a node to its delivery.
     """
 
     model: Model
@@ -81,6 +81,7 @@ class WindowFilter:
     sensors: AllSensors
     codecs: Sequence[RecordForm | None]
     silence_fits: bool = False
+    late_steps: tuple[int, ...] = ()
 
     def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:
         """Windows of no steps on priors (R, M, n), for at most `width` steps."""
@@ -108,8 +109,7 @@ class WindowFilter:
     def opened(
         self, windows: Windows, control: np.ndarray | None, held: np.ndarray | None = None
     ) -> Windows:
-        """With one step more, and the oldest, of which lanes hold records `held` (R, M, N) or all,
-        in the base where the window is full."""
+        """With one step more; the oldest, of which lanes hold `held` (R, M, N), in the base."""
         base, (mean, cov), belief = windows.base, windows.posteriors, windows.beliefs
         if windows.step >= windows.first_step and windows.first == 0:
             base = Gaussian(mean[:, :, 0].copy(), cov[:, :, 0].copy())
@@ -268,6 +268,11 @@ class WindowFilter:
             if codec is not None and codec.rounding_cov is not None:
                 found[source, : codec.channels, : codec.channels] = codec.rounding_cov
         return found
+
+
+def steps_late(filter: WindowFilter, node: int) -> int:
+    """Return the steps from a reading of a node to its delivery."""
+    return filter.late_steps[node] if filter.late_steps else 0
 
 
 def one_lane(belief: Gaussian) -> Gaussian:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.drive_log import POSITION_CHANNELS
 from concord.plants.vehicle.parameters import Car, SensorSheets
 
 SMOOTHED = 20
@@ -14,7 +15,7 @@ SENSORS_OF_NODES = (
     ("wheel_speed", "wheel_speed"),
     ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
     ("steering",),
-    ("ground_speed", "course"),
+    ("ground_speed", "course", "position", "position"),
 )
 """The sensor of each channel of the nodes of `network`, by its name in `SensorSheets`."""
 
@@ -22,7 +23,8 @@ SENSORS_OF_NODES = (
 def channels_of_nodes(car: Car) -> tuple[tuple[str, ...], ...]:
     """Return the channel of a log for each of `SENSORS_OF_NODES`; wheels are not driven."""
     axle = "rear" if car.driven_axle == "front" else "front"
-    return ((f"{axle}_left_wheel", f"{axle}_right_wheel"), *SENSORS_OF_NODES[1:])
+    wheels = (f"{axle}_left_wheel", f"{axle}_right_wheel")
+    return (wheels, *SENSORS_OF_NODES[1:-1], ("ground_speed", "course", *POSITION_CHANNELS))
 
 
 def corrected(
@@ -42,6 +44,7 @@ def stamped(
     found = {}
     for name, readings in channels.items():
         sensor = "wheel_speed" if name.endswith("_wheel") else name
+        sensor = "position" if name in POSITION_CHANNELS else sensor
         sheet = getattr(sheets, sensor, None)
         delay_s = 0.0 if sheet is None else sheet.delay_s
         found[name] = (

@@ -22,12 +22,17 @@ from concord.plants.recorded.channels import (
 from concord.plants.recorded.columns import Column, LogMap, map_from_toml, read_channels
 from concord.plants.recorded.log_files import text_of
 from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.local_plane import east_north
 from concord.plants.vehicle.parameters import Car, car_from_toml, car_to_toml
 
 T = TypeVar("T")
 
 DRIVE, COLUMNS, CAR = "drive.csv", "columns.toml", "car.toml"
 
+POSITION_CHANNELS = ("position_x", "position_y")
+_FIXES = ("latitude", "longitude")
+_CHANNELS = dict(zip(("steering_wheel", *_FIXES), ("steering", *POSITION_CHANNELS), strict=True))
+"""Channel of a column that is read as another quantity."""
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
@@ -36,7 +41,9 @@ class ColumnMap(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Steering is the road wheels' or the steering wheel's, whose angle the car's ratio divides. Speed
     is the car's own, or the mean of the rear wheels'. Ground speed and course are those of a
-    satellite receiver at the centre of mass; the course counts from any direction, to the left.
+    satellite receiver; the course counts from any direction, to the left. A position is latitude
+    and longitude, or x and y of a plane seen from above, x to the right and y up the page. Beside a
+    position the course counts from x, which is east where latitude and longitude are logged.
     """
 
     yaw_rate: Column
@@ -52,6 +59,10 @@ class ColumnMap(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
     side_slip: Column | None = None
     ground_speed: Column | None = None
     course: Column | None = None
+    latitude: Column | None = None
+    longitude: Column | None = None
+    position_x: Column | None = None
+    position_y: Column | None = None
 
 
 class LoggedDrive(NamedTuple):
@@ -99,13 +110,31 @@ def read_log(folder: str | Path) -> LoggedChannels:
     if wheel is not None:
         on_the_road = wheel._replace(values=wheel.values / car.steering_ratio)
         channels.setdefault("steering", on_the_road)
-    for name in ("yaw_rate", "steering", *speeds_in(channels)):
+    if _FIXES[0] in channels:
+        channels |= _on_a_plane(folder, *(channels.pop(name) for name in _FIXES))
+    positions = [name for name in POSITION_CHANNELS if name in channels]
+    for name in ("yaw_rate", "steering", *speeds_in(channels), *positions):
         if len(channels[name].values) < 2:
             raise ValueError(
                 f"{folder}: {name} has fewer than two readings, but a drive needs at least two; "
                 f"look at its column in {COLUMNS}"
             )
     return LoggedChannels(channels, car)
+
+
+def _on_a_plane(
+    folder: Path, latitude: ChannelReadings, longitude: ChannelReadings
+) -> dict[str, ChannelReadings]:
+    """Return positions in m for fixes in rad."""
+    if not np.array_equal(latitude.stamps_s, longitude.stamps_s):
+        raise ValueError(
+            f"{folder}: latitude has {len(latitude.values)} readings and longitude "
+            f"{len(longitude.values)}, at other stamps, but a fix has both; leave both empty where "
+            "one is missing"
+        )
+    plane = east_north(latitude.values, longitude.values)
+    pairs = zip(POSITION_CHANNELS, plane, strict=True)
+    return {name: latitude._replace(values=values) for name, values in pairs}
 
 
 def read_car(folder: str | Path) -> Car:
@@ -141,6 +170,12 @@ def columns_from_toml(text: str) -> ColumnMap:
         raise ValueError("the column map has neither steering nor steering_wheel; name a column")
     if columns.speed is None and None in (columns.rear_left_wheel, columns.rear_right_wheel):
         raise ValueError("the column map has neither speed nor both rear wheels; name columns")
+    for pair in (_FIXES, POSITION_CHANNELS):
+        there = [name for name in pair if getattr(columns, name) is not None]
+        if len(there) == 1:
+            raise ValueError(f"the column map has only {there[0]}; name {pair[0]} and {pair[1]}")
+    if columns.latitude is not None and columns.position_x is not None:
+        raise ValueError("the column map has latitude and position_x; name one of the two pairs")
     return columns
 
 
@@ -160,7 +195,18 @@ def logged_channels(folder: str | Path) -> frozenset[str]:
         ValueError: as `read_folder`.
     """
     columns = set(_from_toml(Path(folder) / COLUMNS, columns_from_toml).columns)
-    return frozenset(columns | ({"steering"} if "steering_wheel" in columns else set()))
+    return frozenset(columns | {_CHANNELS[name] for name in columns & _CHANNELS.keys()})
+
+
+def delays_in(folder: str | Path) -> dict[str, float]:
+    """Return the delay in s that `columns.toml` gives for each of `logged_channels`.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    columns = _from_toml(Path(folder) / COLUMNS, columns_from_toml).columns
+    delays = {name: column.delay_s for name, column in columns.items()}
+    return {_CHANNELS[name]: delays[name] for name in delays.keys() & _CHANNELS.keys()} | delays
 
 
 def speeds_in(channels: Mapping[str, ChannelReadings]) -> tuple[str, ...]:

@@ -2,10 +2,11 @@
 
 Every node estimates the whole motion, so that what one sensor lacks another can tell: state [yaw
 rate, side slip, speed, heading, steering, acceleration]. Steering and acceleration, inputs of the
-single-track model, are random walks here: only their sensors know them.
+single-track model, are random walks here: only their sensors know them. Where a log has positions,
+the state also has the place of the centre of mass, [x, y]; the heading counts from x to the left.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,10 +22,13 @@ from concord.plants.vehicle.sensors import SensorError, contaminated, noise_std
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
 STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s^2")
 YAW_RATE, SIDE_SLIP, SPEED, HEADING, STEERING, ACCELERATION = range(6)
+PLACE = slice(6, 8)
+PLACE_NAMES, PLACE_UNITS = ("x", "y"), ("m", "m")
+"""Of the states that a log with positions adds."""
 
 NODES = ("wheel speeds", "inertial unit", "steering", "satellites")
 CHANNELS = 3
-"""Of a reading, filled up with NaN: the inertial unit has most."""
+"""Of a reading, filled up with NaN: the inertial unit has most, unless positions are logged."""
 
 SATELLITE_PERIOD_S = 0.1
 
@@ -37,7 +41,8 @@ ERRORS: tuple[tuple[SensorError, ...], ...] = (
     (SensorError(0.05), SensorError(0.003)),
 )
 """Data sheets of each node's channels, in SI: the two wheels that are not driven; yaw rate,
-lateral and longitudinal acceleration; steering; speed and course over ground."""
+lateral and longitudinal acceleration; steering; speed and course over ground. A log may add the
+position, x and y."""
 
 CHANNEL_NAMES = (
     (("left wheel speed", "m/s"), ("right wheel speed", "m/s")),
@@ -47,7 +52,7 @@ CHANNEL_NAMES = (
         ("longitudinal acceleration", "m/s^2"),
     ),
     (("steering angle", "rad"),),
-    (("speed over ground", "m/s"), ("course over ground", "rad")),
+    (("speed over ground", "m/s"), ("course over ground", "rad"), ("x", "m"), ("y", "m")),
 )
 """Name and unit of each node's channels."""
 
@@ -57,37 +62,45 @@ class DrivenCar:
     """Model of every node: the single-track model, driven by the inputs that the node has.
 
     noise_factor: standard deviations of the process noise over those of the car's file.
+    positioned: whether the state holds the place of the car.
     """
 
     single_track: SingleTrack
     noise_factor: float = 1.0
+    positioned: bool = False
 
     @property
     def time_step_s(self) -> float:
         return self.single_track.time_step_s
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
-        """State (..., 6) one step later; nothing outside it drives the car."""
+        """State (..., 6) or (..., 8) one step later; nothing outside it drives the car."""
         after = np.empty_like(state)
-        moving, inputs = state[..., :HEADING], state[..., STEERING:]
+        moving, inputs = state[..., :HEADING], state[..., STEERING : ACCELERATION + 1]
         after[..., :HEADING] = self.single_track.transition(moving, inputs, step)
         after[..., HEADING] = state[..., HEADING] + self.time_step_s * state[..., YAW_RATE]
-        after[..., STEERING:] = inputs
+        after[..., STEERING : ACCELERATION + 1] = inputs
+        if self.positioned:
+            course = state[..., HEADING] + state[..., SIDE_SLIP]
+            way = self.time_step_s * state[..., SPEED] / np.cos(state[..., SIDE_SLIP])
+            direction = np.stack([np.cos(course), np.sin(course)], axis=-1)
+            after[..., PLACE] = state[..., PLACE] + way[..., None] * direction
         return after
 
     def process_noise_cov(self, step: int) -> np.ndarray:
-        """Covariance (6, 6) of what a step does not know; the same at every step."""
+        """Covariance (n, n) of what a step does not know; the same at every step."""
         return self._noise_cov
 
     @cached_property
     def _noise_cov(self) -> np.ndarray:
-        std = self.noise_factor * np.array(self.single_track.car.process_noise.std)
+        states = len(STATE_NAMES) + (len(PLACE_NAMES) if self.positioned else 0)
+        std = self.noise_factor * np.array(self.single_track.car.process_noise.std[:states])
         return np.diag(self.time_step_s * np.square(std))
 
 
 @dataclass(frozen=True, eq=False)
 class CarSensor:
-    """A node's sensor: `read` maps states (..., 6) to its channels (..., m).
+    """A node's sensor: `read` maps states (..., n) to its channels (..., m).
 
     sheets: of each channel, what the node believes at the start. course: the channel that is an
     angle. channels: name and unit of each.
@@ -100,7 +113,7 @@ class CarSensor:
     channels: tuple[tuple[str, str], ...] = ()
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
-        """Channels (..., m) of states (..., 6), without noise."""
+        """Channels (..., m) of states (..., n), without noise."""
         value = self.read(state)
         for channel, sheet in enumerate(self.sheets):
             value[..., channel] += sheet.offset
@@ -114,7 +127,7 @@ class CarSensor:
         return difference
 
     def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The node's channels (..., m) of a delivery (..., 3), and their covariance (..., m, m)."""
+        """The node's channels (..., m) of a delivery (..., d), and their covariance (..., m, m)."""
         m = len(self.sheets)
         return delivered[..., :m], np.broadcast_to(self._noise_cov, (*delivered.shape[:-1], m, m))
 
@@ -123,8 +136,8 @@ class CarSensor:
         return np.diag([sheet.noise**2 for sheet in self.sheets])
 
 
-def sensor(node: int, single_track: SingleTrack) -> CarSensor:
-    """Return the sensor of one of `NODES`."""
+def sensor(node: int, single_track: SingleTrack, positioned: bool = False) -> CarSensor:
+    """Return the sensor of one of `NODES`; if `positioned`, satellites tell the place."""
 
     car, sheets = single_track.car, single_track.car.sensors
 
@@ -150,9 +163,16 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
         return state[..., STEERING : STEERING + 1].copy()
 
     def satellites(state: np.ndarray) -> np.ndarray:
-        over_ground = state[..., SPEED] / np.cos(state[..., SIDE_SLIP])
-        course = state[..., HEADING] + state[..., SIDE_SLIP]
-        return np.stack([over_ground, course], axis=-1)
+        ahead, heading = sheets.antenna_ahead_m, state[..., HEADING]
+        across = state[..., SPEED] * np.tan(state[..., SIDE_SLIP]) + ahead * state[..., YAW_RATE]
+        course = heading + np.arctan2(across, state[..., SPEED])
+        told = [np.hypot(state[..., SPEED], across), course]
+        if positioned:
+            told += [
+                state[..., PLACE.start] + ahead * np.cos(heading),
+                state[..., PLACE.start + 1] + ahead * np.sin(heading),
+            ]
+        return np.stack(told, axis=-1)
 
     free_wheels = rear_wheels if car.driven_axle == "front" else front_wheels
     read = (free_wheels, inertial, steering, satellites)[node]
@@ -160,10 +180,11 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
         (sheets.wheel_speed, sheets.wheel_speed),
         (sheets.yaw_rate, sheets.lateral_acceleration, sheets.longitudinal_acceleration),
         (sheets.steering,),
-        (sheets.ground_speed, sheets.course),
+        (sheets.ground_speed, sheets.course, *(2 * [sheets.position] if positioned else [])),
     )
-    course = 1 if read is satellites else None
-    return CarSensor(read, of_channels[node], course, channels=CHANNEL_NAMES[node])
+    course, sheets_there = 1 if read is satellites else None, of_channels[node]
+    names = CHANNEL_NAMES[node][: len(sheets_there)]
+    return CarSensor(read, sheets_there, course, channels=names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,12 +193,13 @@ class DrivenOnce:
 
     Attributes:
         time_step_s: of the arrays.
-        truth: (steps, 6), NaN where it is unknown.
-        exact: (steps, 4, r, 3), up to r readings of a step as the sensors would deliver them
+        truth: (steps, n), NaN where it is unknown.
+        exact: (steps, 4, r, d), up to r readings of a step as the sensors would deliver them
             without error, NaN for nothing.
-        prior_mean: (6,), what the nodes start from, less the error of a run.
+        prior_mean: (n,), what the nodes start from, less the error of a run.
         errors: of each node's channels, on top of `exact`.
-        prior_error: whether the start errs by `PRIOR_STD`; a log knows its own start.
+        prior_error: whether the start errs by `prior_std`; a log knows its own start.
+        prior_std: (n,), what the nodes believe of the start.
     """
 
     time_step_s: float
@@ -186,9 +208,15 @@ class DrivenOnce:
     prior_mean: np.ndarray
     errors: tuple[tuple[SensorError, ...], ...]
     prior_error: bool = True
+    prior_std: Sequence[float] | np.ndarray = PRIOR_STD
 
-    state_names = STATE_NAMES
-    state_units = STATE_UNITS
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return (STATE_NAMES + PLACE_NAMES)[: len(self.prior_std)]
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        return (STATE_UNITS + PLACE_UNITS)[: len(self.prior_std)]
 
     @property
     def nodes(self) -> int:
@@ -219,31 +247,31 @@ class DrivenOnce:
             for channel, error in enumerate(channels):
                 drawn = contaminated(error, generator, (self.steps,))
                 measurement[:, node, 0, channel] = drawn[:steps]
-        initial = generator_for("initial", 0).standard_normal(len(PRIOR_STD))
+        initial = generator_for("initial", 0).standard_normal(len(self.prior_std))
         return Draws(initial, np.empty((steps, 0)), measurement)
 
     def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """True state (..., 6), prior mean (..., 6) and prior cov (6, 6) for noise (..., 6)."""
-        error = np.array(PRIOR_STD) * noise if self.prior_error else np.zeros_like(noise)
+        """True state (..., n), prior mean (..., n) and prior cov (n, n) for noise (..., n)."""
+        error = np.array(self.prior_std) * noise if self.prior_error else np.zeros_like(noise)
         truth = np.broadcast_to(self.truth[0], error.shape)
-        return truth, self.prior_mean + error, np.diag(np.square(PRIOR_STD))
+        return truth, self.prior_mean + error, np.diag(np.square(self.prior_std))
 
     def advance(
         self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
     ) -> np.ndarray:
-        """Return the state of the next step for states (..., 6), NaN after the end."""
+        """Return the state of the next step for states (..., n), NaN after the end."""
         after = self.truth[step + 1] if step + 1 < self.steps else np.nan
         return np.broadcast_to(after, state.shape)
 
     def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
-        """Return the sensors' readings at a step for noise (..., 4, r, 3)."""
+        """Return the sensors' readings at a step for noise (..., 4, r, d)."""
         return self.exact[step] + self._bias + self._std[step] * noise
 
     @cached_property
     def _std(self) -> np.ndarray:
-        """(steps, 4, 1, 3)."""
+        """(steps, 4, 1, d)."""
         time_s = self.time_step_s * np.arange(self.steps, dtype=np.float64)
-        std = np.zeros((self.steps, self.nodes, 1, CHANNELS))
+        std = np.zeros((self.steps, self.nodes, 1, self.exact.shape[-1]))
         for node, channels in enumerate(self.errors):
             for channel, error in enumerate(channels):
                 std[:, node, 0, channel] = noise_std(error, time_s)
@@ -251,7 +279,7 @@ class DrivenOnce:
 
     @cached_property
     def _bias(self) -> np.ndarray:
-        bias = np.zeros((self.nodes, 1, CHANNELS))
+        bias = np.zeros((self.nodes, 1, self.exact.shape[-1]))
         for node, channels in enumerate(self.errors):
             bias[node, 0, : len(channels)] = [error.bias for error in channels]
         return bias

@@ -38,14 +38,16 @@ class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     heading_rad: float = (1e-10 / 0.005) ** 0.5
     steering_rad: float = 0.0015 / 0.005**0.5
     acceleration_m_s2: float = 0.02 / 0.005**0.5
+    position_m: float = 0.01
 
     def __post_init__(self) -> None:
         _require_positive("process_noise", self)
 
     @property
     def std(self) -> tuple[float, ...]:
-        """Of [yaw rate, side slip, speed, heading, steering, acceleration]."""
-        return msgspec.structs.astuple(self)
+        """Of [yaw rate, side slip, speed, heading, steering, acceleration, x, y]."""
+        every = msgspec.structs.astuple(self)
+        return (*every, every[-1])
 
 
 class SensorSheet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,6 +69,9 @@ class SensorSheet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         _require_positive("sensors", self, signed=("offset", "delay_s"))
 
 
+_PLACES = ("accelerometer_ahead_m", "slip_sensor_ahead_m", "antenna_ahead_m")
+
+
 class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The sensors of a car.
 
@@ -75,7 +80,8 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Attributes:
         accelerometer_ahead_m: of the centre of mass, along the car.
-        slip_sensor_ahead_m: likewise of the optical sensor.
+        slip_sensor_ahead_m, antenna_ahead_m: likewise of the optical sensor, and of the antenna
+            for satellites.
     """
 
     wheel_speed: SensorSheet = SensorSheet(noise=0.1)
@@ -85,12 +91,14 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     steering: SensorSheet = SensorSheet(noise=0.0005)
     ground_speed: SensorSheet = SensorSheet(noise=0.05)
     course: SensorSheet = SensorSheet(noise=0.003)
+    position: SensorSheet = SensorSheet(noise=1.0)
     side_slip: SensorSheet = SensorSheet(noise=0.001)
     accelerometer_ahead_m: float = 0.0
     slip_sensor_ahead_m: float = 0.0
+    antenna_ahead_m: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_positive("sensors", self, signed=("accelerometer_ahead_m", "slip_sensor_ahead_m"))
+        _require_positive("sensors", self, signed=_PLACES)
 
 
 class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -6,15 +6,24 @@ learns how noisy its own sensors are (with --filter ukf it believes their data s
 what the sensors really do.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from concord.plants.vehicle.cars import FITTED_CARS
-from concord.plants.vehicle.corrections import channels_of_nodes
-from concord.plants.vehicle.drive_log import logged_channels, read_car, read_log
+from concord.plants.vehicle.corrections import SENSORS_OF_NODES, channels_of_nodes
+from concord.plants.vehicle.drive_log import (
+    POSITION_CHANNELS,
+    delays_in,
+    logged_channels,
+    read_car,
+    read_log,
+)
 from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import (
@@ -37,11 +46,13 @@ from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.filters import AdaptiveUnscented
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import VehicleNetwork
+from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
 """One cycle of the car's bus."""
 
+T = TypeVar("T")
 Errors = tuple[tuple[SensorError, ...], ...]
 
 
@@ -61,7 +72,18 @@ on, or a quarter as much. Readings have 2 % of outliers of 20 times the noise, o
 standard deviation."""
 
 
-@cache
+def _while_files_stay(read: Callable[[str], T]) -> Callable[[str], T]:
+    """A function of a log's folder, called again only after one of its files has changed."""
+    cached = cache(lambda data, _files: read(data))
+
+    def read_once(data: str) -> T:
+        stats = {one.name: one.stat() for one in Path(data).glob("*")}
+        return cached(data, tuple((n, at.st_mtime_ns, at.st_size) for n, at in stats.items()))
+
+    return read_once
+
+
+@_while_files_stay
 def _logged(data: str) -> DrivenOnce:
     return replayed(*read_log(data), TIME_STEP_S)
 
@@ -106,18 +128,31 @@ def vehicle_of(scenario: Scenario) -> VehicleNetwork:
 
 
 @cache
-def _believed(name: str, data: str | None, noise_factor: float) -> DrivenCar:
-    car: Car = FITTED_CARS[name] if data is None else read_car(data)
-    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor)
+def _believed(car: Car, noise_factor: float, positioned: bool) -> DrivenCar:
+    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor, positioned)
+
+
+@_while_files_stay
+def _car(data: str) -> Car:
+    return read_car(data)
+
+
+@_while_files_stay
+def _positioned(data: str) -> bool:
+    """Whether a log has positions, so that the state holds the place of the car."""
+    return set(POSITION_CHANNELS) <= logged_channels(data)
 
 
 def _model(scenario: Scenario) -> DrivenCar:
     vehicle = vehicle_of(scenario)
-    return _believed(vehicle.car, vehicle.data, vehicle.process_noise)
+    if vehicle.data is None:
+        return _believed(FITTED_CARS[vehicle.car], vehicle.process_noise, False)
+    return _believed(_car(vehicle.data), vehicle.process_noise, _positioned(vehicle.data))
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    own = sensor(node, _model(scenario).single_track)
+    model = _model(scenario)
+    own = sensor(node, model.single_track, model.positioned)
     return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
 
 
@@ -132,21 +167,16 @@ def _gate(probability: float, channels: int) -> float | None:
     return float(chdtri(channels, probability))
 
 
-@cache
-def _slip_variance(data: str) -> float:
-    return read_car(data).sensors.side_slip.noise ** 2
-
-
 def _reference_cov(scenario: Scenario) -> float:
     """Variance of the side slip that a log has in place of the truth."""
     data = vehicle_of(scenario).data
-    return 0.0 if data is None else _slip_variance(data)
+    return 0.0 if data is None else _car(data).sensors.side_slip.noise ** 2
 
 
-@cache
+@_while_files_stay
 def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
     there = logged_channels(data)
-    of_nodes = enumerate(channels_of_nodes(read_car(data)))
+    of_nodes = enumerate(channels_of_nodes(_car(data)))
     return tuple(node for node, names in of_nodes if there.isdisjoint(names))
 
 
@@ -154,6 +184,49 @@ def _without_data(scenario: Scenario) -> tuple[int, ...]:
     """Nodes whose sensor a log has no column of."""
     data = vehicle_of(scenario).data
     return () if data is None else _logged_nodes_without_data(data)
+
+
+@_while_files_stay
+def _late(data: str) -> tuple[int, ...]:
+    """Steps from the instant of a reading to its delivery, which waits for the last channel."""
+    car, delays = _car(data), delays_in(data)
+    late = []
+    for channels, sensors in zip(channels_of_nodes(car), SENSORS_OF_NODES, strict=True):
+        pairs = zip(channels, sensors, strict=True)
+        there = [(name, getattr(car.sensors, sensor)) for name, sensor in pairs if name in delays]
+        longest_s = max((delays[name] + sheet.delay_s for name, sheet in there), default=0.0)
+        late.append(max(0, math.ceil(longest_s / TIME_STEP_S - 1e-6)))
+    return tuple(late)
+
+
+def _late_steps(scenario: Scenario) -> tuple[int, ...]:
+    vehicle = vehicle_of(scenario)
+    return () if vehicle.data is None or vehicle.arrival == "stamped" else _late(vehicle.data)
+
+
+def _check_arrival(scenario: Scenario) -> None:
+    """Refuse late readings that no window can put back."""
+    vehicle, rule = vehicle_of(scenario), scenario.rule
+    if vehicle.arrival == "stamped":
+        return
+    if vehicle.data is None:
+        raise ValueError("--arrival late: of a log, but this drive is simulated; add --data")
+    if not isinstance(rule, MeasurementFlooding):
+        raise ValueError(
+            f"--arrival late: rule {rule.name} has no window that puts readings back; use --rule "
+            "labelled --filter ukf --cluster fitted"
+        )
+    if vehicle.sensor_gate or rule.gate_probability or rule.withhold_below:
+        raise ValueError(
+            "--arrival late: a node judges a reading before it comes; leave --sensor-gate, "
+            "--gate-probability and --withhold-below out"
+        )
+    longest, window = max(_late(vehicle.data)), rule.window_steps or LEAST_WINDOW_STEPS
+    if longest >= window:
+        raise ValueError(
+            f"--arrival late: readings come up to {longest} steps late, but the window has "
+            f"{window}; use --window-steps {longest + LEAST_WINDOW_STEPS}"
+        )
 
 
 def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
@@ -177,6 +250,7 @@ def _check(scenario: Scenario) -> None:
             f"{', '.join(simulated_only)}: of simulated drives, but --data {vehicle.data} is a "
             "logged one, which has its own car, course and noise; leave one of the two out"
         )
+    _check_arrival(scenario)
     plant = _plant(scenario)
     if scenario.steps > plant.steps:
         raise ValueError(
@@ -203,5 +277,6 @@ DEFINITION = ScenarioDefinition(
     all_steps=_all_steps,
     reference_cov=_reference_cov,
     without_data=_without_data,
+    late_steps=_late_steps,
     outside=_outside,
 )

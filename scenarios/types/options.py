@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 else:
     GRAPH = object
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
+ARRIVAL = Literal["stamped", "late"]
 NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
 CHANNELS = Literal["all", "A", "B", "split", "mixed"]
@@ -39,6 +40,7 @@ class ScenarioOptions(TypedDict, total=False):
     static_slots: int
     car: str
     manoeuvre: str
+    arrival: ARRIVAL
     process_noise: float
     sensor_gate: float
     nodes: int
@@ -110,6 +112,7 @@ class SweptOptions(TypedDict, total=False):
     static_slots: Sequence[int] | np.ndarray | int
     car: Sequence[str] | np.ndarray | str
     manoeuvre: Sequence[str] | np.ndarray | str
+    arrival: Sequence[ARRIVAL] | np.ndarray | ARRIVAL
     process_noise: Sequence[float] | np.ndarray | float
     sensor_gate: Sequence[float] | np.ndarray | float
     nodes: Sequence[int] | np.ndarray | int

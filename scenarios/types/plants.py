@@ -115,6 +115,11 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
         Option("Noise of the sensors of the car."),
     ] = "growing"
     data: Annotated[str | None, DATA] = None
+    arrival: Annotated[
+        Literal["stamped", "late"],
+        Option("When nodes have the readings of a log: at their stamps less the delays, or as much "
+               "later as the delays say (rule labelled puts them back)."),
+    ] = "stamped"  # fmt: skip
     process_noise: Annotated[
         float,
         Option(

@@ -99,6 +99,10 @@ class ZonotopeIntersection(SetRule, frozen=True, kw_only=True, tag="zonotope"):
     """ellipsoid with zonotopes: tighter prediction, wider shares; needs bounded noise."""
 
 
+LEAST_WINDOW_STEPS = 32
+"""A window costs neither bytes nor time of the bus, so it is longer than most networks need."""
+
+
 class FloodingRule(FusionRule, frozen=True, kw_only=True):
     """A rule whose shares are labelled measurements."""
 

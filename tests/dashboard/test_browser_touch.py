@@ -77,7 +77,7 @@ def test_a_node_is_killed_by_its_menu_after_a_ghost_has_said_so(page: Page):
     node = free_node(page)
     menu_on(page, places(page)[node], "kill")
     page.until(lambda: f"kill node {node:02d}" in waiting(page), 15)
-    page.until(lambda: page.part("/pending/lines")["shown"] and parts(page, "/pending/word"))
+    page.until(lambda: page.part("/pending/lines")["shown"] and bool(parts(page, "/pending/word")))
     assert page.part("/pending/word0")["text"] == "next step: kill"
     one_step(page)
     page.until(lambda: page.text("alive") == "7 / 8")

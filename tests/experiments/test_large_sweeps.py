@@ -23,7 +23,9 @@ from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.store import folder_of
 from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
+from concord.plants.vehicle.drive_log import write_drive
 from tests.experiments.flexray_support import concord, refused
+from tests.experiments.identification.simulated_log import TRUE, simulated_log
 from tests.pages import ROOT
 
 pytestmark = pytest.mark.slow
@@ -149,6 +151,24 @@ def test_options_that_do_not_go_together_are_refused(
 ):
     assert says in refused(concord(capsys, "sweep", *options, "-o", tmp_path / "s.nc"))
     assert not list(tmp_path.iterdir())
+
+
+def test_pieces_of_a_log_are_those_of_its_content(tmp_path: Path):
+    """Another log at the same path shares no piece with it; the same log at the same path does."""
+    log, kept = tmp_path / "log", tmp_path / "pieces"
+    log.mkdir()
+    kept.mkdir()
+    asked = {"scenario": "vehicle-network", "filter": "ukf", "steps": "30", "data": str(log)}
+
+    def of_log(seed: int, out: str) -> tuple[int, xarray.Dataset]:
+        write_drive(log, simulated_log(TRUE, 0.3, seed)[0], TRUE)
+        done = swept(specify(asked, runs=1), tmp_path / out, pieces=kept)
+        assert done.dataset is not None
+        return done.found_pieces, done.dataset
+
+    (none, first), (one, again), (other, second) = of_log(1, "a"), of_log(1, "b"), of_log(2, "c")
+    assert (none, one, other) == (0, 1, 0)
+    assert equal(first, again) and not equal(first, second)
 
 
 def test_moments_are_printed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
