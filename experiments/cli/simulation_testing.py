@@ -83,9 +83,7 @@ def simulation_testing(
     )
 
 
-def _covering(
-    seeds: range, most: int, fields: dict[str, Any], as_json: bool
-) -> list[int]:
+def _covering(seeds: range, most: int, fields: dict[str, Any], as_json: bool) -> list[int]:
     """Return the seeds whose cases together reach the most states, and say how many."""
     with progress("cases drawn", len(seeds), as_json=as_json) as on_seeds:
         found: dict[int, frozenset[State]] = {}
