@@ -42,10 +42,12 @@ class Scene:
         self.radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, largest))
         self._labels: list[Any] = []
         self._surroundings(theme)
-        self.nodes = self._make_nodes()
+        self.nodes = self._one_at_each_node("/network/nodes", geometry.sphere(), self.radius)
         if pick is not None:
             self.nodes.on_click(lambda event: pick(event.instance_index))
-        self._halo = self._make_rings("/network/attention")
+        self._halo = self._one_at_each_node(
+            "/network/attention", geometry.ring(0.8), HIDDEN, side="double"
+        )
         self._edges = add_lines(scene, "/network/links", 1.6 if len(stage.edges) < 600 else 1.0)
         self._cut = add_lines(scene, "/network/cut", 2.2)
         self._sending = add_lines(scene, "/network/sending", 4.5)
@@ -92,22 +94,11 @@ class Scene:
         )
         self._shown_labels = None
 
-    def _make_nodes(self) -> Any:
-        vertices, faces = geometry.sphere()
-        nodes = self._stage.nodes
-        return self._scene.add_batched_meshes_simple(
-            "/network/nodes",
-            vertices.astype(np.float32),
-            faces,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (nodes, 1)),
-            batched_positions=self._stage.in_scene(self._stage.positions(0), _NODE_HEIGHT),
-            batched_scales=np.full(nodes, self.radius),
-            batched_colors=np.full((nodes, 3), 128, dtype=np.uint8),
-            lod="off",
-        )
-
-    def _make_rings(self, name: str) -> Any:
-        vertices, faces = geometry.ring(0.8)
+    def _one_at_each_node(
+        self, name: str, mesh: tuple[np.ndarray, np.ndarray], size: float, **options: Any
+    ) -> Any:
+        """Add a mesh, vertices (V, 3) and faces (F, 3), at each node."""
+        vertices, faces = mesh
         nodes = self._stage.nodes
         return self._scene.add_batched_meshes_simple(
             name,
@@ -115,10 +106,10 @@ class Scene:
             faces,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (nodes, 1)),
             batched_positions=self._stage.in_scene(self._stage.positions(0), _NODE_HEIGHT),
-            batched_scales=np.full(nodes, HIDDEN),
+            batched_scales=np.full(nodes, size),
             batched_colors=np.full((nodes, 3), 128, dtype=np.uint8),
-            side="double",
             lod="off",
+            **options,
         )
 
     def extent(self) -> np.ndarray:
