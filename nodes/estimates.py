@@ -38,7 +38,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
         suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
         absent=tuple(sorted(state.absent)),
-        weights=None if weights is None else weights.round(_WEIGHT_DECIMALS).tolist(),
+        weights=None if weights is None else to_wire(weights.round(_WEIGHT_DECIMALS)),
     )
 
 

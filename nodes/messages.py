@@ -119,7 +119,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     suspect: bool = False
     age_s: float | None = None
     absent: NodeTuple = ()
-    weights: list[float] | None = None
+    weights: list[float | None] | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

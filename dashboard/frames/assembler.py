@@ -154,7 +154,7 @@ class Assembler:
             if len(estimate.ages) == len(neighbours):
                 self._ages[part] = estimate.ages
             if estimate.weights is not None and len(estimate.weights) == len(neighbours):
-                self._weights[part] = estimate.weights
+                self._weights[part] = from_wire(estimate.weights)
             self._note_rejections(number, node, estimate.counters)
             self._counters[node] = estimate.counters
         self._belief = Gaussian(mean, cov)

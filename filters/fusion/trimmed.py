@@ -7,9 +7,11 @@ from concord.filters.fusion.hold import check_weights, inverse_volume
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, multiply
 
-# Squared distances below this, in variances of the own belief, are equal: rounding must not decide
-# which belief is dropped.
+# Squared distances below the first, in variances of the own belief, are equal, and so are those
+# that agree in so many bits. The median of four lies halfway between two of them, so distances are
+# often equal, and rounding must not decide which belief is dropped.
 _ALIKE = 1e-12
+_EQUAL_BITS = 20
 
 
 def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> Gaussian:
@@ -18,8 +20,8 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
     With F = `liars`, of the beliefs that have a weight, the node's own first:
 
     1. the F neighbours whose means are farthest from the median of all (entry by entry), in
-       standard deviations of the node's own belief, are dropped; of those within 1e-6 standard
-       deviations the first ones;
+       standard deviations of the node's own belief, are dropped. Among equals the first ones are:
+       those within 1e-6 standard deviations, and those whose distances agree to a millionth;
     2. the information is capped: no neighbour may be surer, in any direction, than the (F + 1)-th
        surest of all in its surest direction, both relative to the own covariance. The covariance of
        a surer neighbour is scaled up to this cap;
@@ -86,7 +88,9 @@ def _far_ones(mean: np.ndarray, whitener: np.ndarray, used: np.ndarray, liars: i
     distance = np.square(multiply(whitener, mean - median)).sum(axis=-1)
     candidates = used.copy()
     candidates[..., 0] = False
-    nearness = np.where(candidates, -np.where(distance < _ALIKE, 0.0, distance), np.inf)
+    mantissa, exponent = np.frexp(np.where(distance < _ALIKE, 0.0, distance))
+    rounded = np.ldexp(np.round(np.ldexp(mantissa, _EQUAL_BITS)), exponent - _EQUAL_BITS)
+    nearness = np.where(candidates, -rounded, np.inf)
     rank = np.argsort(np.argsort(nearness, axis=-1, kind="stable"), axis=-1)
     return candidates & (rank < liars)
 

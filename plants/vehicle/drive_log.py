@@ -31,7 +31,9 @@ DRIVE, COLUMNS, CAR = "drive.csv", "columns.toml", "car.toml"
 
 POSITION_CHANNELS = ("position_x", "position_y")
 _FIXES = ("latitude", "longitude")
-_CHANNELS = dict(zip(("steering_wheel", *_FIXES), ("steering", *POSITION_CHANNELS), strict=True))
+_CHANNELS: dict[str, str] = dict(
+    zip(("steering_wheel", *_FIXES), ("steering", *POSITION_CHANNELS), strict=True)
+)
 """Channel of a column that is read as another quantity."""
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 

@@ -169,7 +169,7 @@ def test_json_is_one_object_on_standard_output_and_notes_go_elsewhere(run_json):
     figures = msgspec.json.decode(out, type=Figures)
     assert (figures.steps, len(figures.nodes)) == (25, 3)
     assert err.startswith("seed 5; results in run\n")
-    assert "oscillator: 25 of 25" in err
+    assert '"of":"oscillator","done":25,"total":25' in err
     assert {entry.name for entry in folder.iterdir()} >= {"run.json", "run.mcap", "run.nc"}
 
 

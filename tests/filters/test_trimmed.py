@@ -134,3 +134,19 @@ def test_rounding_does_not_decide_which_belief_is_dropped(seed: int):
     found = trimmed_intersection(Gaussian(rounded, cov), weights, 1)
     np.testing.assert_allclose(found.mean, alike.mean, rtol=1e-10)
     np.testing.assert_allclose(found.cov, alike.cov, rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rounding_does_not_decide_between_beliefs_on_both_sides_of_the_median(seed: int):
+    """Along a line the median of four lies halfway between two, which are equally far from it."""
+    generator = np.random.default_rng(seed)
+    along = np.array([0.0, 0.1, -2.0, 2.1])
+    mean = along[:, None] * np.array([1.0, -0.5, 0.3]) + np.array([3.0, -1.0, 0.5])
+    cov = np.stack([covariance(generator, 1.0) for _ in range(4)])
+    weights = np.full(4, 0.25)
+    exact = trimmed_intersection(Gaussian(mean, cov), weights, 1)
+    for _ in range(5):
+        rounded = mean + generator.normal(size=mean.shape) * 1e-14
+        found = trimmed_intersection(Gaussian(rounded, cov), weights, 1)
+        np.testing.assert_allclose(found.mean, exact.mean, rtol=1e-10)
+        np.testing.assert_allclose(found.cov, exact.cov, rtol=1e-10)
