@@ -27,6 +27,8 @@ from concord.scenarios.streams import generator
 from concord.topology.names import unknown_name
 
 STATES = 4
+MOST_TARGETS = 200
+"""On the ground of the scenario, one to each square of 70 m."""
 NEW_TARGETS = 0.1
 """Expected number of new targets in a scan, as a tracker assumes it."""
 END_OVER_BIRTH = 0.1
@@ -52,7 +54,7 @@ class TargetSwarm:
     """Sampling instants to simulate, one second each."""
     association: str = "jpda"
     """How detections are assigned: jpda or nearest."""
-    rounds: int = 3
+    rounds: int = 16
     """Communication cycles of a step."""
     bus: str = "flexray"
     """Bus that the nodes share: flexray, plca, can-fd or ideal."""
@@ -87,6 +89,7 @@ class TargetSwarm:
         ):  # fmt: skip
             value = getattr(self, name)
             require(value >= least, name, value, f"{least} or more")
+        require(self.targets <= MOST_TARGETS, "targets", self.targets, f"{MOST_TARGETS} or fewer")
         require(
             FALSE_ALARM < self.detection < 1,
             "detection",

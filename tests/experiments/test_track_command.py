@@ -51,6 +51,7 @@ def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFix
     [
         (("--detection", "1"), "--detection 1.0: must be above 0.001"),
         (("--clutter", "-1"), "--clutter -1.0: must be 0 to 200"),
+        (("--targets", "100000"), "--targets 100000: must be 200 or fewer"),
         (("--loss", "1"), "--loss 1"),
         (("--bus", "flexry"), "flexry"),
         (("--occupancy", "0"), "--occupancy 0"),

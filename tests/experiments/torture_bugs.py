@@ -206,7 +206,7 @@ BUGS = (
         "those who agree most are taken for liars",
         "concord.filters.fusion.trimmed",
         "_far_ones",
-        (("candidates, -np.where", "candidates, np.where"),),
+        (("candidates, -rounded", "candidates, rounded"),),
     ),
     Bug(
         "a neighbour may be as sure as it likes",
