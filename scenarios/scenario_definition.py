@@ -106,7 +106,7 @@ class ScenarioDefinition(NamedTuple):
         warnings: what a user must be told of the plant before a run.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
-        points: the sigma points of unscented filters, None for those of the house.
+        points: the sigma points of unscented filters, None for those of concord.
         wiring: of a network in which not every node filters and fuses.
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
         baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one

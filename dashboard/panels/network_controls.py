@@ -47,7 +47,7 @@ class NetworkControls:
         }  # fmt: skip
         there = _settings_of(scenario)
         changed = {name: value for name, value in wanted.items() if there[name] != value}
-        # A full schedule has no room for less; half of the slots static is the house's default.
+        # A full schedule has no room for less; half of the slots static is concord's default.
         if changed.get("occupancy", 1.0) < 1.0 and scenario.bus.schedule.name == "full":
             changed["schedule"] = "hybrid"
         if not changed:

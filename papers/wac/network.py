@@ -1,7 +1,7 @@
-"""The network of the consensus study: the house's rules and driver, on a bus that holds any share.
+"""The network of the consensus study: concord's rules and driver, on a bus that holds any share.
 
 A scenario is refused where FlexRay's cycle cannot hold its shares; the study gives a slot to each.
-It also lets HCMCI and ICF use shares that are missing or old, which the house refuses.
+It also lets HCMCI and ICF use shares that are missing or old, which concord refuses.
 """
 
 from collections.abc import Sequence
@@ -84,7 +84,7 @@ def network_of(
         setup: of a scenario with the same plant and graph.
         scenario: its schedule may have slots for shares of any length.
         runs: their numbers.
-        unheard: "drop" or "raw", for a rule of fresh shares; else the house's rule as it is.
+        unheard: "drop" or "raw", for a rule of fresh shares; else concord's rule as it is.
     """
     changed = msgspec.structs.replace(setup, scenario=scenario)
     network = build_network(changed, runs, _with_room)

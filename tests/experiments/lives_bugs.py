@@ -5,7 +5,7 @@ The script prints the first seed that finds each.
 
 from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, run_lives
-from tests.experiments.torture_bugs import Bug, print_found
+from tests.experiments.planted_bugs import Bug, print_found
 
 MOST_SEEDS = 200
 LIVES_BUGS = (

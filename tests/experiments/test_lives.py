@@ -8,7 +8,7 @@ from concord.experiments.simulation_testing.lives.case_run import run_lives
 from concord.experiments.simulation_testing.lives.virtual_clock import VirtualClock
 from tests.experiments.flexray_support import concord
 from tests.experiments.lives_bugs import LIVES_BUGS, MOST_SEEDS, run_seed
-from tests.experiments.torture_bugs import Bug, first_found
+from tests.experiments.planted_bugs import Bug, first_found
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ from concord.nodes.faults.vocabulary import EVERY_FAULT
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from tests.experiments.flexray_support import Said, concord
-from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
+from tests.experiments.planted_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
 pytestmark = pytest.mark.slow
 

@@ -1,7 +1,7 @@
 """Plant bugs in the real functions, to see whether simulation testing finds them.
 
 A bug is a change of the source text of one function. The changed function is compiled and replaces
-the original in each module that refers to it. `python -m tests.experiments.torture_bugs` tries all
+the original in each module that refers to it. `python -m tests.experiments.planted_bugs` tries all
 bugs and prints the seed that finds each.
 """
 
