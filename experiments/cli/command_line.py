@@ -44,16 +44,18 @@ COMMANDS = {
     "keys": ("keys", "keys"),
     "setup": ("hosts", "setup"),
     "router": ("hosts", "router"),
-    "world": ("hosts", "environment"),
+    "environment": ("hosts", "environment"),
     "node": ("hosts", "node"),
     "up": ("hosts", "up"),
     "doctor": ("doctor", "doctor"),
-    "torture": ("simulation_testing", "simulation_testing"),
+    "simulation-testing": ("simulation_testing", "simulation_testing"),
     "lives": ("simulation_testing", "lives"),
     "help": ("command_line", "show_help"),
     "version": ("command_line", "print_version"),
     "completion": ("command_line", "print_completion"),
 }
+# Names that commands had before.
+FORMER_NAMES = {"torture": "simulation-testing"}
 # Those that have commands of their own; beside the function stands their SUMMARY.
 GROUPS = {
     "flexray": ("flexray", "flexray_commands"),
@@ -67,6 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments == ["--version"]:
         arguments = ["version"]
+    arguments = [FORMER_NAMES.get(word, word) for word in arguments[:1]] + arguments[1:]
     prepare_streams()
     try:
         command = _command(arguments[:1])

@@ -1,4 +1,4 @@
-"""`concord setup`, `router`, `world`, `node` and `up`: one network on several hosts.
+"""`concord setup`, `router`, `environment`, `node` and `up`: one network on several hosts.
 
 All hosts get the same setup file; the environment refuses a node with another file
 (docs/deployment.md).

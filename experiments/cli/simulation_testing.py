@@ -1,7 +1,7 @@
 """The commands of simulation testing: random cases from seeds, held against what must never break.
 
-`concord torture` draws scenarios and faults; `concord lives` draws processes that start, stop and
-die on a virtual clock.
+`concord simulation-testing` draws scenarios and faults. `concord lives` draws processes that start,
+stop and die on a virtual clock.
 """
 
 import sys

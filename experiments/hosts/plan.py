@@ -98,7 +98,9 @@ class NetworkPlan(msgspec.Struct, frozen=True):
     def environment_process(self, out: str, *more: str) -> Process:
         """Return environment and recorder, whose results are in the folder `out` of their host."""
         joins = self._joins(self.environment)
-        return Process(self.environment, ENVIRONMENT, ("world", SETUP, *joins, "--out", out, *more))
+        return Process(
+            self.environment, ENVIRONMENT, ("environment", SETUP, *joins, "--out", out, *more)
+        )
 
     def node(self, host: str, *nodes: int) -> Process:
         """Return the command of some nodes of a host."""

@@ -57,7 +57,7 @@ def systemd(plan: NetworkPlan) -> str:
             "END",
             "    systemctl daemon-reload",
             f"    systemctl enable --now {' '.join(units)}",
-            *(["    systemctl start concord-world"] if host == plan.environment else []),
+            *(["    systemctl start concord-environment"] if host == plan.environment else []),
         ]
     begin = (
         "# In the folder of deploy/, with setup.json and keys beside it. The program is in\n"
@@ -99,7 +99,7 @@ def compose(plan: NetworkPlan) -> str:
         lines += _service(plan, router, plan.router(host), before, alias)
         if host == plan.environment:
             lines += _service(
-                plan, f"{host}-world", plan.environment_process(f"runs/{plan.run}"), [router]
+                plan, f"{host}-environment", plan.environment_process(f"runs/{plan.run}"), [router]
             )
         for node in entry.nodes:
             lines += _service(plan, f"{host}-node-{node}", plan.node(host, node), [router])
@@ -119,7 +119,7 @@ def _service(
     ]  # fmt: skip
     names = [path.name for path in plan.keys[process.host] if _uses(process, path.name)]
     lines += [f"      - ./{KEYS}/{name}:{folder}/{KEYS}/{name}:ro" for name in names]
-    if process.words[0] == "world":
+    if process.words[0] == "environment":
         lines.append(f"      - runs:{folder}/runs")
     if process.words[0] == "node":
         lines.append("    restart: on-failure")
@@ -133,8 +133,8 @@ def _uses(process: Process, key: str) -> bool:
     match process.words[0]:
         case "router":
             return key.startswith("router")
-        case "world":
-            return key in ("world.json", "recorder.json")
+        case "environment":
+            return key in ("environment.json", "recorder.json")
         case _:
             return key in {f"node-{number}.json" for number in process.name.split()[1:]}
 

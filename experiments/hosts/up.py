@@ -72,7 +72,7 @@ class NetworkOverSsh:
     def run(self, *more: str) -> int:
         """Run the network until its environment ends, and return the exit code of that.
 
-        `more` are words of `concord world`, whose standard output becomes that of this process.
+        `more` are words of `concord environment`; its standard output becomes that of this process.
         """
         environment = self._plan.environment_process(RESULTS, *more)
         self._queues[environment.host].append(environment)

@@ -113,7 +113,7 @@ def replay_command(case: SimulationCase) -> str:
     while case != (drawn := draw_case(case.seed, said)):
         # A given field may change the fields that are drawn after it.
         said |= differences(case, drawn)
-    words = ["concord", "torture", "--seeds", str(case.seed)]
+    words = ["concord", "simulation-testing", "--seeds", str(case.seed)]
     for name, value in said.items():
         words += ["--" + name.replace("_", "-"), written(value)]
     return shlex.join(words)

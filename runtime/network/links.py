@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-ENVIRONMENT, RECORDER, ROUTER = "world", "recorder", "router"
+ENVIRONMENT, RECORDER, ROUTER = "environment", "recorder", "router"
 # Where the recorder lets others hear what it has recorded.
 WATCH = "watch"
 LOOPBACK = "127.0.0.1"

@@ -61,13 +61,13 @@ class Outcome(msgspec.Struct):
 def storm(everybody: list[Intruder], messages: int, seed: int) -> tuple[Counter, Counter]:
     """Say it all; returns how many were sent to whom, and how many questions were refused."""
     rng = np.random.default_rng(seed)
-    (world,) = (one for one in everybody if one.name == ENVIRONMENT)
+    (environment,) = (one for one in everybody if one.name == ENVIRONMENT)
     sent: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     for number in range(messages):
         if number % ASK_EVERY == 0:
             sent[QUESTIONS] += 1
-            refused[QUESTIONS] += world.command(number // ASK_EVERY)
+            refused[QUESTIONS] += environment.command(number // ASK_EVERY)
             continue
         one = everybody[number % len(everybody)]
         turn = number // len(everybody)

@@ -88,7 +88,7 @@ class Network:
         """End it by the death of its environment; return which processes and sockets are left."""
         pids, connect = list(self.pids.values()), read_network(self.folder).connect
         self.client.close()
-        os.kill(self.pids["world"], signal.SIGKILL)
+        os.kill(self.pids["environment"], signal.SIGKILL)
         self._running.ended_within(60)
         deadline_s = time.monotonic() + LEAVE_S
         while (left := [pid for pid in pids if lives(pid)]) and time.monotonic() < deadline_s:
@@ -122,7 +122,7 @@ def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
 
 def launcher_process_of(pids: dict[str, int]) -> int:
     """The parent of all."""
-    return int((PROC / str(pids["world"]) / "stat").read_text().rpartition(")")[2].split()[1])
+    return int((PROC / str(pids["environment"]) / "stat").read_text().rpartition(")")[2].split()[1])
 
 
 def say(text: str) -> None:
@@ -137,7 +137,7 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     client.command(Speed(RATE))
     pids = network.pids
     family = {**pids, "launcher process": launcher_process_of(pids)}
-    watched = ("launcher process", "world", "recorder")
+    watched = ("launcher process", "environment", "recorder")
     before = open_files(family, watched)
     gone_s, back_s = [], []
     for number in range(count):

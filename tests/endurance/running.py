@@ -59,7 +59,7 @@ class Running:
         return read_network(self.folder).pids
 
     def end(self) -> None:
-        """Let it go as fast as it can; what does not end is ended by the death of its world.
+        """Let it go as fast as it can; what does not end is ended by the death of its environment.
 
         Raises:
             RuntimeError: it did not end by itself, or failed.

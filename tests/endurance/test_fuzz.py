@@ -50,7 +50,7 @@ def pair(folder: Path) -> Iterator[tuple[Running, dict[str, int]]]:
 
 
 def test_malformed_messages_are_all_counted_and_change_no_bit():
-    """Nodes, world and recorder each count what was said to them, more than queues hold."""
+    """Nodes, environment and recorder each count what was said to them, more than queues hold."""
     outcome = fuzz(9000, seed=3, steps=400)
     assert outcome.refused == outcome.sent
     assert sum(outcome.sent.values()) == 9000
@@ -111,7 +111,7 @@ def test_a_flood_that_nobody_waits_for_leaves_the_world_hearing(
 # Too long for Python to make a number of; and of it no JSON can be told either.
 LONG = "9" * 5000
 DEEP = b"[" * 3000
-WORLD_HEARS = [
+ENVIRONMENT_HEARS = [
     (f"hello/{LONG}", b"0" * 64),
     ("hello/\u0663", b"0" * 64),
     ("hello/1", b"0" * 64),
@@ -145,14 +145,14 @@ def test_what_strangers_call_themselves_ends_nobody(tmp_path: Path):
         for name in (LONG, "\u0663", "\u00b2", "01", "\u2603"):
             for intruder in here.values():
                 intruder.join(name, {name})
-        for topic, data in WORLD_HEARS:
+        for topic, data in ENVIRONMENT_HEARS:
             here[ENVIRONMENT].send(topic, data)
         for topic, data in RECORDER_HEARS:
             here[RECORDER].send(topic, data)
         deep = b'{"do":"pause","x":' + DEEP
         answer = msgspec.json.decode(here[ENVIRONMENT].ask("control", deep) or b"", type=Answer)
         assert not answer.accepted and "not a command" in answer.detail
-        count = len(WORLD_HEARS)
+        count = len(ENVIRONMENT_HEARS)
         assert holds_within(20, lambda: running.client.state()["refused"] == count)
         for intruder in here.values():
             intruder.close()

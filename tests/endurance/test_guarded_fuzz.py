@@ -64,7 +64,9 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
         router.await_line("router at")
         joining = ("--connect", endpoint, "--keys", keys)
         there.concord("node", setup, 0, 1, 2, *joining)
-        world = there.concord("world", setup, *joining, "--out", tmp_path / "run", "--json")
+        environment = there.concord(
+            "environment", setup, *joining, "--out", tmp_path / "run", "--json"
+        )
         await_network(endpoint, str(keys / "operator.json")).close()
         for where in (endpoint, plain):
             with suppress(LinkError):
@@ -74,7 +76,7 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
         insider = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0, key), [], 1)
         tell(insider, own)
         there.concord("node", setup, INSIDER, *joining)
-        code, out, err = world.end(60)
+        code, out, err = environment.end(60)
         insider.close()
         assert (code, out[:1]) == (0, "{"), err
         assert "Traceback" not in err
@@ -101,13 +103,15 @@ def test_a_lie_that_ends_a_network_without_keys_leaves_a_sentence(tmp_path: Path
         endpoint = f"tcp/localhost:{free_ports([ROUTER_NAME])[ROUTER_NAME]}"
         there.router(endpoint)
         there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
-        world = there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
+        environment = there.concord(
+            "environment", setup, "--connect", endpoint, "--out", tmp_path / "run"
+        )
         await_network(endpoint).close()
         stranger = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0), [], 1)
         for _ in range(50):
             stranger.send("finished", FINISHED)
-        # It ends when the recorder has gone, or when the world has died of that.
-        code, _, err = world.end(60)
+        # It ends when the recorder has gone, or when the environment has died of that.
+        code, _, err = environment.end(60)
         stranger.close()
     assert code != 0
     assert "Traceback" not in err, err

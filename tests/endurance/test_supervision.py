@@ -57,7 +57,7 @@ def test_nothing_is_left_of_a_supervisor_and_its_child(
         assert holds_within(60, there.is_file)
         run.await_line("oscillator: ")
         pids = read_network(tmp_path / "run").pids
-        pids |= {"launcher": run.process.pid, "launcher process": parent_of(pids["world"])}
+        pids |= {"launcher": run.process.pid, "launcher process": parent_of(pids["environment"])}
         os.kill(pids[child], SIGNALS[second])
         os.kill(pids[supervisor], SIGNALS[first])
         time.sleep(1.0)

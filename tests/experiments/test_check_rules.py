@@ -85,7 +85,7 @@ def test_a_rule_that_claims_no_consistency_breaks_no_promise(capsys: pytest.Capt
 def test_a_network_that_fails_is_repeated_by_another_command(capsys: pytest.CaptureFixture[str]):
     _, rows = checked(capsys, f"{WRONG}:wrong_shape", "--promise", "networks", "--cases", "1")
     again = shlex.split(rows["networks"]["again"])
-    assert again[:2] == ["concord", "torture"] and rows["networks"]["status"] == "BROKEN"
+    assert again[:2] == ["concord", "simulation-testing"] and rows["networks"]["status"] == "BROKEN"
     with pytest.raises(SystemExit) as ended:
         main([*again[1:], "--workers", "1"])
     assert ended.value.code == 1

@@ -174,7 +174,7 @@ def test_what_there_is_to_choose_from_is_told_without_what_computes():
 
 
 @pytest.mark.parametrize(
-    "name", ["control", "keys", "setup", "router", "world", "node", "dashboard", "flexray"]
+    "name", ["control", "keys", "setup", "router", "environment", "node", "dashboard", "flexray"]
 )
 def test_a_command_loads_nothing_of_other_commands(name: str):
     assert not loaded_by(name, "--help") & SLOW_TO_LOAD

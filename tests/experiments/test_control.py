@@ -50,8 +50,8 @@ def running(folder: Path, **changes) -> Iterator[Controlled]:
         yield network
     finally:
         network.client.close()
-        if (world := network.pids.get("world")) and lives(world):
-            os.kill(world, signal.SIGKILL)
+        if (environment := network.pids.get("environment")) and lives(environment):
+            os.kill(environment, signal.SIGKILL)
         assert network.ended_within(60)
         assert holds_within(PATIENCE_S, lambda: not any(map(lives, network.pids.values())))
 

@@ -72,12 +72,12 @@ def test_states_are_those_of_the_machines():
 
 def test_most_runs_the_chosen_seeds_and_says_what_they_reach(capsys: pytest.CaptureFixture[str]):
     words = ("--seeds", "1..6", "--most", "2", "--workers", "1", "--json")
-    code, out, err = concord(capsys, "torture", *words)
+    code, out, err = concord(capsys, "simulation-testing", *words)
     result = msgspec.json.decode(out)
     assert (code, result["cases"]) == (0, 2)
     chosen = covering(range(1, 7), 2, drawn)
     assert result["seeds"] == chosen
     counts = reached(chosen), reached(range(1, 7)), reached([1, 2])
     assert "2 of 6 seeds reach {} of {} states; the first 2 reach {}\n".format(*counts) in err
-    code, out, err = concord(capsys, "torture", "--seeds", "1..6", "--most", "0")
+    code, out, err = concord(capsys, "simulation-testing", "--seeds", "1..6", "--most", "0")
     assert (code, out) == (2, "") and "--most 0: must be at least 1" in err

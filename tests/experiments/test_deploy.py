@@ -16,7 +16,7 @@ from tests.experiments.test_hosts import write_setup
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command
 from tests.processes import PROC
 
-SERVICES = ("concord-router.service", "concord-world.service", "concord-node@.service")
+SERVICES = ("concord-router.service", "concord-environment.service", "concord-node@.service")
 # The first release in which an Indexed Job counts the failures of each pod by itself for good.
 KUBERNETES = "1.33"
 MOST_EXPOSED = 20
@@ -75,26 +75,28 @@ def test_units_may_do_little(unit: str, tmp_path: Path):
 
 
 def test_units_start_in_order_and_come_back_where_that_helps():
-    router, world, node = ((UNITS / unit).read_text() for unit in SERVICES)
+    router, environment, node = ((UNITS / unit).read_text() for unit in SERVICES)
     assert "Restart=always" in router and "Restart=on-failure" in node
-    # A second world would be another run.
-    assert "Restart=no" in world
-    assert "After=network-online.target concord-router.service\n" in world
-    assert "After=network-online.target concord-router.service concord-world.service\n" in node
+    # A second environment would be another run.
+    assert "Restart=no" in environment
+    assert "After=network-online.target concord-router.service\n" in environment
+    assert (
+        "After=network-online.target concord-router.service concord-environment.service\n" in node
+    )
 
 
 @pytest.mark.zenoh
 @pytest.mark.slow
 @pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
 def test_the_commands_of_the_units_run_a_network_over_tls(tmp_path: Path):
-    """Keys, setup, router, world and two nodes, each with its own files alone, to the end."""
+    """Keys, setup, router, environment and two nodes, each with its own files alone, to the end."""
     pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     keys = tmp_path / "keys"
     main(["keys", str(keys), "--nodes", "2"])
     setup = write_setup(tmp_path, nodes=2, graph="path", steps=60)
     port = free_ports(["router"])["router"]
     endpoint = f"tls/localhost:{port}"
-    environment = {
+    variables = {
         "CONCORD_LISTEN": endpoint,
         "CONCORD_CONNECT": endpoint,
         "CONCORD_ROUTER_OPTIONS": "",
@@ -102,15 +104,17 @@ def test_the_commands_of_the_units_run_a_network_over_tls(tmp_path: Path):
 
     def words(unit: str, instance: str = "") -> list[str]:
         folder = credentials(unit, keys, tmp_path / f"{unit}{instance}", instance)
-        said = unit_command(unit, {**environment, "CREDENTIALS_DIRECTORY": str(folder)}, instance)
+        said = unit_command(unit, {**variables, "CREDENTIALS_DIRECTORY": str(folder)}, instance)
         return [word.replace("/etc/concord/setup.json", str(setup)) for word in said]
 
     with hosts(tmp_path) as there:
         router = there.concord(*words("concord-router.service"))
         router.await_line("router at")
         nodes = [there.concord(*words("concord-node@.service", number)) for number in "01"]
-        world = there.concord(*words("concord-world.service"), "--out", tmp_path / "run", "--json")
-        code, out, err = world.end(60)
+        environment = there.concord(
+            *words("concord-environment.service"), "--out", tmp_path / "run", "--json"
+        )
+        code, out, err = environment.end(60)
         assert (code, out[:1]) == (0, "{"), err
         assert [node.end(10)[0] for node in nodes] == [0, 0]
     assert read_description(tmp_path / "run").run == "hosts"
@@ -170,7 +174,7 @@ def test_what_pods_want_is_there(tmp_path: Path):
     assert "keys" not in {mount["name"] for mount in node["volumeMounts"]}
 
 
-@pytest.mark.parametrize("pod", ["concord-router", "concord-world", "concord-nodes"])
+@pytest.mark.parametrize("pod", ["concord-router", "concord-environment", "concord-nodes"])
 def test_pods_start_commands_of_ours(pod: str, capsys: pytest.CaptureFixture[str]):
     """Read to the end by the command line, which then misses the files of another machine."""
     [container] = pods()[pod]["containers"]

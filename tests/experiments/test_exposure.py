@@ -76,7 +76,7 @@ def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
     at = ("--connect", "tcp/127.0.0.1:1")
     for words in (
         ["setup", "--out", str(tmp_path / "new.json"), f"--name={name}"],
-        ["world", str(hostile), *at],
+        ["environment", str(hostile), *at],
         ["node", str(hostile), "1", *at],
         ["control", str(tmp_path), "pause"],
         ["dashboard", *at, f"--run={name}"],

@@ -59,7 +59,7 @@ def test_nodes_that_never_meet_their_environment_end(tmp_path: Path):
         nodes = there.concord("node", setup, 0, 1, "--connect", a, "--peer-timeout", 2)
         code, out, err = nodes.end(60)
         assert (code, out) == (1, "")
-        assert "the world has been out of reach for 2 s" in err
+        assert "the environment has been out of reach for 2 s" in err
 
 
 @needs_proc
@@ -72,8 +72,10 @@ def test_commands_on_several_hosts_give_the_bits_of_one_process(tmp_path: Path):
             there.concord("node", setup, 0, 1, "--connect", b),
             there.concord("node", setup, 2, 3, "--connect", a),
         ]
-        world = there.concord("world", setup, "--connect", a, "--out", tmp_path / "run", "--json")
-        code, out, err = world.end(60)
+        environment = there.concord(
+            "environment", setup, "--connect", a, "--out", tmp_path / "run", "--json"
+        )
+        code, out, err = environment.end(60)
         assert (code, out[:1]) == (0, "{"), err
         assert [node.end(10)[0] for node in nodes] == [0, 0]
     description = read_description(tmp_path / "run")
@@ -97,8 +99,8 @@ def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
     with hosts(tmp_path) as there:
         endpoint, _ = two_routers(there)
         there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
-        world = there.concord(
-            "world", setup, "--connect", endpoint, "--out", tmp_path / "run", "--json"
+        environment = there.concord(
+            "environment", setup, "--connect", endpoint, "--out", tmp_path / "run", "--json"
         )
         await_network(endpoint).close()
         stranger = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0), [], 1)
@@ -111,7 +113,7 @@ def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
                 for data in (b"", b"nonsense", b"{}", b"[1]", b"\xff" * 300):
                     stranger.send(topic, data)
             there.concord("node", setup, 3, "--connect", endpoint)
-            code, out, err = world.end(60)
+            code, out, err = environment.end(60)
         finally:
             stranger.close()
         assert (code, out[:1]) == (0, "{"), err
@@ -130,7 +132,7 @@ def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
 def test_who_may_look_on_and_who_may_command_a_guarded_network(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """The keys of monitor and operator, to a network whose world and nodes have theirs."""
+    """The keys of monitor and operator, to a network whose environment and nodes have theirs."""
     pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     keys = tmp_path / "keys"
     main(["keys", str(keys), "--nodes", "4"])
@@ -147,7 +149,7 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
         router.await_line("router at")
         joining = ("--connect", endpoint, "--keys", keys)
         there.concord("node", setup, 0, 1, 2, 3, *joining)
-        there.concord("world", setup, *joining, "--out", tmp_path / "run")
+        there.concord("environment", setup, *joining, "--out", tmp_path / "run")
         monitor, operator = (("--keys", str(keys / f"{who}.json")) for who in (MONITOR, OPERATOR))
 
         def runs() -> bool:
@@ -177,7 +179,7 @@ def test_a_node_that_is_started_again_joins_by_itself(tmp_path: Path):
         endpoint, _ = two_routers(there)
         there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
         lonely = there.concord("node", setup, 3, "--connect", endpoint)
-        there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
+        there.concord("environment", setup, "--connect", endpoint, "--out", tmp_path / "run")
         client = await_network(endpoint)
         try:
             assert holds_within(30, lambda: client.state()["completed"] > 5)
@@ -202,8 +204,10 @@ def test_a_node_with_another_setup_ends_the_run_and_is_named(tmp_path: Path):
         endpoint, _ = two_routers(there)
         there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
         there.concord("node", other, 3, "--connect", endpoint)
-        world = there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
-        code, _, err = world.end(40)
+        environment = there.concord(
+            "environment", setup, "--connect", endpoint, "--out", tmp_path / "run"
+        )
+        code, _, err = environment.end(40)
     assert code == 1
     assert "node 3 runs configuration" in err
 
@@ -227,8 +231,8 @@ def test_a_node_with_another_setup_ends_the_run_and_is_named(tmp_path: Path):
             ["node", "{setup}", "1", "--connect", "tcp/a:1", "--peer-timeout", "0"],
             "--peer-timeout 0",
         ),
-        (["world", "{setup}", "--connect", "tcp/a:99999"], "1 to 65535"),
-        (["world", "{setup}", "--connect", "tls/a:1", "--keys", "."], "recorder.json"),
+        (["environment", "{setup}", "--connect", "tcp/a:99999"], "1 to 65535"),
+        (["environment", "{setup}", "--connect", "tls/a:1", "--keys", "."], "recorder.json"),
         (["router", "--listen", "tcp/*:1"], "--listen tcp/*:1: not an endpoint"),
         (["router", "--listen", "tls/a:1", "--keys", "none.json"], "--keys none.json: no such"),
         (["setup", "--out", "{setup}"], "cannot be written"),

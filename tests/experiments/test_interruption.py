@@ -88,7 +88,7 @@ def test_an_interrupted_network_ends_at_once_and_leaves_its_folder(
         if moment == "in the middle":
             assert (
                 len(run.descendants()) == 1 + 2 + 4
-            )  # launcher process, world and recorder, nodes
+            )  # launcher process, environment and recorder, nodes
         interrupted(run, how)
     if moment != "before ready":
         with (tmp_path / "run" / RECORDING).open("rb") as file:
@@ -220,7 +220,7 @@ def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
     """After the environment is killed: exit code 1, its name, and no figures."""
     with family(run_command("processes", 700), tmp_path) as run:
         run.await_line("oscillator: ")
-        os.kill(read_network(tmp_path / "run").pids["world"], signal.SIGKILL)
+        os.kill(read_network(tmp_path / "run").pids["environment"], signal.SIGKILL)
         code, out, err = run.end(run.at_once_s)
         assert code == 1
         assert "ended with signal 9" in err

@@ -54,8 +54,8 @@ def test_a_host_with_another_file_is_refused_and_one_with_the_same_completes_the
         ends = {host: there.endpoint(host) for host in "ab"}
         at_a.router(ends["a"], prefix=there.at("a"))
         at_right.router(ends["b"], ends["a"], prefix=there.at("b"))
-        world = at_a.concord(
-            "world", setup, "--connect", ends["a"], "--out", tmp_path / "run", "--json",
+        environment = at_a.concord(
+            "environment", setup, "--connect", ends["a"], "--out", tmp_path / "run", "--json",
             prefix=there.at("a"),
         )  # fmt: skip
         at_a.concord("node", setup, 0, 1, 2, "--connect", ends["a"], prefix=there.at("a"))
@@ -66,7 +66,7 @@ def test_a_host_with_another_file_is_refused_and_one_with_the_same_completes_the
             assert source_of(f"{file}/{changed}.py:X").digest in refusal
         assert f"{wrong}/{changed}.py" in refusal and "copy that file" in refusal
         at_right.concord(*joining, prefix=there.at("b"))
-        code, _, err = world.end(120)
+        code, _, err = environment.end(120)
         assert code == 0, err
     description = read_description(tmp_path / "run")
     monkeypatch.chdir(a)

@@ -61,7 +61,7 @@ class Ear:
 
 @contextmanager
 def network(folder: Path, there: Lan, *words: str) -> Iterator[tuple[Family, Ear]]:
-    """World, recorder and two nodes on a, two on b, two on c; its world, and an ear on b."""
+    """World, recorder and two nodes on a, two on b, two on c; its environment, and an ear on b."""
     setup = folder / "setup.json"
     scenario = ("--scenario", "oscillator", "--nodes", "6", "--graph", "ring")
     main(["setup", *scenario, "--out", str(setup), "--name", "hosts", *words])
@@ -76,7 +76,7 @@ def network(folder: Path, there: Lan, *words: str) -> Iterator[tuple[Family, Ear
         listen = (*there.at("b"), sys.executable, "-c", LISTENER, b)
         with family(listen, folder) as listener:
             out = ("--connect", a, "--out", folder / "run", "--json")
-            yield started.concord("world", setup, *out, prefix=there.at("a")), Ear(listener)
+            yield started.concord("environment", setup, *out, prefix=there.at("a")), Ear(listener)
 
 
 def told(folder: Path) -> list[Event]:
@@ -109,13 +109,13 @@ def test_in_real_time_both_sides_go_on_and_agree_again(
 ):
     """A step lasts a tenth of a second here."""
     words = ("--driver", "realtime", "--steps", str(STEPS))
-    with lan("abc") as there, network(tmp_path, there, *words) as (world, ear):
+    with lan("abc") as there, network(tmp_path, there, *words) as (environment, ear):
         cut, healed = cut_and_heal(there, ear)
-        code, _, err = world.end(90)
+        code, _, err = environment.end(90)
     assert code == 0, err
     setup = read_description(tmp_path / "run").setup
     trace = trace_of(setup, tmp_path / "run" / "run.mcap")
-    # The far side, which hears of no world, goes on estimating, step by step.
+    # The far side, which hears of no environment, goes on estimating, step by step.
     progress = {node: healed[node] - cut[node] for node in range(6)}
     assert all(progress[node] > 25 for node in FAR), progress
     assert all(progress[node] < 5 for node in (0, 1)), progress
@@ -173,8 +173,8 @@ def test_a_network_bears_delay(tmp_path: Path):
     with lan("abc") as there:
         if not all(there.delay(host, 20) for host in "bc"):
             pytest.skip("tc netem: this kernel has no network emulation (sch_netem)")
-        with network(tmp_path, there, "--steps", "20") as (world, _):
-            code, _, err = world.end(90)
+        with network(tmp_path, there, "--steps", "20") as (environment, _):
+            code, _, err = environment.end(90)
     assert code == 0, err
     assert (
         trace_of(read_description(tmp_path / "run").setup, tmp_path / "run" / "run.mcap").steps

@@ -36,8 +36,10 @@ def with_clock(folder: Path, ahead_s: float, rate: float) -> tuple[str, ...]:
 
 
 def run(folder: Path, *clocks: tuple[float, float]) -> tuple[dict, list[Timing | Estimate]]:
-    """Nodes 0, 1 and 2, 3 on two hosts with clocks (ahead of the world's, rate): the figures of
-    timing, and how every step kept its time."""
+    """Nodes 0, 1 and 2, 3 on two hosts with clocks (ahead of the environment's, rate).
+
+    Return the figures of timing, and how every step kept its time.
+    """
     setup = write_setup(folder, "--driver", "realtime", steps=STEPS)
     with hosts(folder) as there:
         a, b = two_routers(there)
@@ -45,8 +47,10 @@ def run(folder: Path, *clocks: tuple[float, float]) -> tuple[dict, list[Timing |
             prefix = with_clock(folder / f"clock{number}", *clock)
             nodes = (2 * number, 2 * number + 1)
             there.concord("node", setup, *nodes, "--connect", endpoint, prefix=prefix)
-        world = there.concord("world", setup, "--connect", a, "--out", folder / "run", "--json")
-        code, out, err = world.end(60)
+        environment = there.concord(
+            "environment", setup, "--connect", a, "--out", folder / "run", "--json"
+        )
+        code, out, err = environment.end(60)
     assert code == 0, err
     messages = read_recording(folder / "run" / "run.mcap")
     said = [decode(t, data) for t, data in messages if t.startswith(("timing/", "estimate/"))]

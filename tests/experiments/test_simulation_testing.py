@@ -1,4 +1,4 @@
-"""`concord torture`: what it draws, what it finds, and how it says so."""
+"""`concord simulation-testing`: what it draws, what it finds, and how it says so."""
 
 import shlex
 from pathlib import Path
@@ -37,8 +37,8 @@ def bug_of(name: str) -> Bug:
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> Said:
-    """Exit code, standard output and standard error of `concord torture`."""
-    return concord(capsys, "torture", *words)
+    """Exit code, standard output and standard error of `concord simulation-testing`."""
+    return concord(capsys, "simulation-testing", *words)
 
 
 def test_nothing_breaks_and_what_was_done_is_counted(capsys: pytest.CaptureFixture[str]):
@@ -170,7 +170,7 @@ def test_a_failure_is_made_smaller_and_its_command_finds_it_again(
         told, again, look, *_ = out.splitlines()
         assert told.startswith("seed 2: one sender per slot and channel: ")
         words = shlex.split(again.removeprefix("  again: "))
-        assert words[:4] == ["concord", "torture", "--seeds", "2"]
+        assert words[:4] == ["concord", "simulation-testing", "--seeds", "2"]
         repeated, out, _ = said(capsys, *words[2:])
         assert (repeated, out.splitlines()[0]) == (1, told)
     ordinary = shlex.split(look.removeprefix("  to look at: "))

@@ -77,7 +77,7 @@ def test_a_network_over_ssh_has_the_bits_of_one_process_and_one_log(machine: Pat
         assert network.gone_at_once()
     lines = {tuple(line.split(" | ")[0].split()) for line in err.splitlines() if " | " in line}
     assert lines == {
-        ("alpha", "router"), ("alpha", "world"), ("alpha", "node", "0"),
+        ("alpha", "router"), ("alpha", "environment"), ("alpha", "node", "0"),
         ("beta", "router"), ("beta", "node", "1"),
     }  # fmt: skip
     results = machine / "there" / "me@alpha" / "concord-hosts" / "results"
@@ -93,7 +93,7 @@ def test_a_network_over_ssh_has_the_bits_of_one_process_and_one_log(machine: Pat
 def ends_by_interruption(network: Family) -> None:
     network.send(signal.SIGINT)
     code, _, err = network.end(30)
-    assert code == 130 and "alpha world  | interrupted" in err, err
+    assert code == 130 and "alpha environment  | interrupted" in err, err
 
 
 def ends_by_death(network: Family) -> None:
@@ -131,7 +131,7 @@ def test_a_node_is_killed_and_restarted_and_all_end_with_the_command(
         network.await_line("beta node 1  | Killed")
         network.await_line("beta node 1  | run hosts: nodes 1 look for it")
         # With the node the network goes on.
-        network.await_line("alpha world  | oscillator: ", 120)
+        network.await_line("alpha environment  | oscillator: ", 120)
         end(network)
         assert network.gone_within(30)
 
@@ -227,8 +227,8 @@ def test_the_printed_script_installs_what_the_units_need(machine: Path):
         ("alpha", {"router", "node-0", "node-2"}, "concord-node@0 concord-node@2\n"),
         (
             "beta",
-            {"router", "world", "recorder", "node-1"},
-            "concord-node@1\nstart concord-world\n",
+            {"router", "environment", "recorder", "node-1"},
+            "concord-node@1\nstart concord-environment\n",
         ),
     ):
         root = machine / host
@@ -257,7 +257,7 @@ def test_the_compose_file_has_a_service_for_each_process(machine: Path):
     services = yaml.safe_load(FORMS["compose"](plan))["services"]
     assert set(services) == {
         "alpha-router", "alpha-node-0", "alpha-node-2",
-        "beta-router", "beta-world", "beta-node-1",
+        "beta-router", "beta-environment", "beta-node-1",
     }  # fmt: skip
     for name, service in services.items():
         program, *words = service["command"]
@@ -276,7 +276,9 @@ def test_the_compose_file_has_a_service_for_each_process(machine: Path):
     # Without keys a router is known by the name of its service, as an address cannot be given.
     without = hosts_file(machine, beta="nodes = [1, 2]")
     services = yaml.safe_load(FORMS["compose"](read_plan(without)))["services"]
-    assert any(word.startswith("tcp/alpha-router:") for word in services["alpha-world"]["command"])
+    assert any(
+        word.startswith("tcp/alpha-router:") for word in services["alpha-environment"]["command"]
+    )
 
 
 def test_compose_refuses_certificates_for_addresses(

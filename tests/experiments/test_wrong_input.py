@@ -93,7 +93,9 @@ def test_a_setup_that_is_not_there_is_told_from_a_run(complaint):
 
 def test_a_setup_of_another_kind_is_refused(complaint, home: Path):
     (home / "run" / DESCRIPTION).write_text(json.dumps({"run": 3}))
-    assert "not the description of a run" in complaint("world run/run.json --connect tcp/[::1]:1")
+    assert "not the description of a run" in complaint(
+        "environment run/run.json --connect tcp/[::1]:1"
+    )
 
 
 @pytest.mark.skipif(not PROC.is_dir(), reason="needs a folder that takes no file from anybody")

@@ -94,7 +94,7 @@ def labelled(
             rounds=rounds,
         )
         nodes.append(with_slots(replace(config, estimator=estimator), _slots))
-    return Network(replace(net.world, bus=nodes[0].bus), nodes)
+    return Network(replace(net.environment, bus=nodes[0].bus), nodes)
 
 
 _FRAMES = 16
@@ -190,11 +190,11 @@ def held_by(states: Iterable[Any]) -> Held:
 
 def kalman(net: Network, readings: dict[tuple[int, int], np.ndarray], labels: Iterable) -> Gaussian:
     """The belief at the last step given these readings: a plain Kalman filter, in matrices."""
-    plant = net.world.plant
+    plant = net.environment.plant
     matrix, noise = plant.matrix, plant.noise_cov  # type: ignore[attr-defined]
     mean, cov = PRIOR
     used = set(labels)
-    for step in range(net.world.steps):
+    for step in range(net.environment.steps):
         if step:
             mean, cov = matrix @ mean, matrix @ cov @ matrix.T + noise
         information, vector = np.linalg.inv(cov), np.linalg.inv(cov) @ mean

@@ -97,7 +97,7 @@ class Draws(NamedTuple):
 class Network(NamedTuple):
     """Configurations of one network for the in-process driver."""
 
-    world: EnvironmentConfig
+    environment: EnvironmentConfig
     nodes: list[NodeConfig]
 
 
@@ -151,7 +151,7 @@ def network(
             codec=codec.vector,
         )
         nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))
-    world = EnvironmentConfig(
+    environment = EnvironmentConfig(
         plant=plant,
         initial_state=np.ones(n),
         states=n,
@@ -166,7 +166,7 @@ def network(
         bus=bus,
         controller=controller,
     )
-    return Network(world, nodes)
+    return Network(environment, nodes)
 
 
 class Outcome(NamedTuple):
@@ -194,7 +194,7 @@ def run(
 ) -> Outcome:
     """Run a network in this process."""
     recorder = MemoryRecorder()
-    states = in_process.run(net.world, net.nodes, recorder, link=link, pick=pick)
+    states = in_process.run(net.environment, net.nodes, recorder, link=link, pick=pick)
     return outcome(recorder.messages, states)
 
 

@@ -37,7 +37,7 @@ def test_what_a_link_loses_is_as_if_it_had_never_come(
 
     def dropping(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
         cycle = read_frame(frame).cycle
-        arrives = hears(links, cycle // net.world.rounds, cycle, sender, receiver)
+        arrives = hears(links, cycle // net.environment.rounds, cycle, sender, receiver)
         return (frame,) if arrives else ()
 
     dropped = run(net, dropping)

@@ -68,10 +68,10 @@ def be(i):
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}", os.pipe()[0])
 config = build_environment(setup)
-world = partial(
+environment = partial(
     run_environment, "broken", links[ENVIRONMENT], config, mark, management, Lockstep()
 )
-supervisor.start(ENVIRONMENT, world)
+supervisor.start(ENVIRONMENT, environment)
 for i in range(count):
     supervisor.start(str(i), partial(be, i))
 for name, pid in supervisor.pids.items():
@@ -195,9 +195,9 @@ def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
         await_step(run, 50)
         relay.lose()
         relay.cut(for_good=True)
-        run.await_line("the world has waited 1 s for the recorder, which is out of reach", 20)
+        run.await_line("the environment has waited 1 s for the recorder, which is out of reach", 20)
         run.await_line("the recorder has been out of reach for 3 s", 20)
-        run.await_line("world ended with 1", 20)
+        run.await_line("environment ended with 1", 20)
         # On a busy machine the recorder is some steps behind.
     assert trace_of(setup, tmp_path / "run.mcap").steps > 0
 
@@ -209,7 +209,7 @@ def test_a_node_that_stands_still_is_named(tmp_path: Path):
         pid = await_pid(run, "3")
         await_step(run, 50)
         os.kill(pid, signal.SIGSTOP)
-        run.await_line("the world has waited 1 s for the estimates of step", 10)
+        run.await_line("the environment has waited 1 s for the estimates of step", 10)
         os.kill(pid, signal.SIGCONT)
         code, _, _ = run.end(30)
         assert code == 0

@@ -105,8 +105,8 @@ def written_out(
     own = dict(enumerate(priors))
     held: dict[tuple[int, int], Held] = {}
     means, ages = [], []
-    for cycle in range(net.world.steps * net.world.rounds):
-        if cycle and cycle % net.world.rounds == 0:
+    for cycle in range(net.environment.steps * net.environment.rounds):
+        if cycle and cycle % net.environment.rounds == 0:
             own = {i: _moved(belief) for i, belief in own.items()}
             held = {key: Held(_moved(h.belief), h.age) for key, h in held.items()}
         held = {key: Held(h.belief, h.age + 1) for key, h in held.items()}
@@ -125,7 +125,7 @@ def written_out(
                 parts = [(worth[j] / sum(worth.values()), h.belief) for j, h in heard.items()]
             fused[i] = _mixed(parts)
         own = fused
-        if (cycle + 1) % net.world.rounds == 0:
+        if (cycle + 1) % net.environment.rounds == 0:
             means.append([own[i].mean for i in own])
             ages.append([_ages(net, held, i) for i in own])
     return np.array(means), ages

@@ -43,7 +43,7 @@ def world_of(
 ) -> EnvironmentConfig:
     return network(
         path(nodes), [PRIOR] * nodes, steps=steps, rounds=2, lead=lead, schedule=schedule
-    ).world
+    ).environment
 
 
 def estimate(node: int, step: int) -> Estimate:

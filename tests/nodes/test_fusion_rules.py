@@ -163,13 +163,13 @@ def written_out(net: Network, priors: list[Gaussian], outcome: Outcome, arrived:
     Returns:
         Means (steps, N, 2) and covariances (steps, N, 2, 2).
     """
-    count, rounds = len(net.nodes), net.world.rounds
+    count, rounds = len(net.nodes), net.environment.rounds
     weights = weight_matrix(net)
     rate = 1 / (1 + max(len(node.neighbours) for node in net.nodes))
     read = readings(outcome)
     beliefs = list(priors)
     means, covs = [], []
-    for cycle in range(net.world.steps * rounds):
+    for cycle in range(net.environment.steps * rounds):
         step, round_ = divmod(cycle, rounds)
         if cycle and round_ == 0:
             beliefs = [predicted(belief) for belief in beliefs]

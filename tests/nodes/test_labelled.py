@@ -128,7 +128,7 @@ def test_once_all_records_came_the_base_is_the_centralised_posterior(adjacency, 
     readings = taken(outcome)
     base_step = outcome.states[0].content.windows.step_at(0) - 1
     assert base_step == 25 - 16
-    shorter = net._replace(world=replace(net.world, steps=base_step + 1))
+    shorter = net._replace(environment=replace(net.environment, steps=base_step + 1))
     expected = kalman(shorter, readings, [label for label in readings if label[0] <= base_step])
     for state in outcome.states:
         base = state.content.windows.base
@@ -215,8 +215,8 @@ def test_nobody_ever_knows_more_than_the_centralised_filter(net: Network, seed: 
     link, _ = fate(seed, loss)
     outcome = run(net, link)
     readings = taken(outcome)
-    for step in range(net.world.steps):
-        until = net._replace(world=replace(net.world, steps=step + 1))
+    for step in range(net.environment.steps):
+        until = net._replace(environment=replace(net.environment, steps=step + 1))
         best = kalman(until, readings, [label for label in readings if label[0] <= step])
         for node in range(len(net.nodes)):
             margin = np.linalg.eigvalsh(outcome.cov[step, node] - best.cov)

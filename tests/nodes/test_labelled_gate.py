@@ -28,7 +28,7 @@ def test_an_outlier_is_refused_alike_everywhere():
         path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3),
         gates={0: 25.0, 1: 25.0, 2: 25.0},
     )  # fmt: skip
-    draws: Any = net.world.draws
+    draws: Any = net.environment.draws
     wrong = [5, 11]
     draws.measurement[wrong, 1, 0] += 100.0
     outcome = run(net)
@@ -39,7 +39,7 @@ def test_an_outlier_is_refused_alike_everywhere():
     for node in range(3):
         np.testing.assert_allclose(outcome.mean[-1, node], expected.mean, rtol=0, atol=1e-9)
     ungated = labelled(path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3))
-    spoiled = run(ungated._replace(world=net.world))
+    spoiled = run(ungated._replace(environment=net.environment))
     assert np.abs(spoiled.mean[wrong] - outcome.mean[wrong]).max() > 1.0
 
 

@@ -93,7 +93,7 @@ def test_the_environment_makes_the_transitions_of_its_table(
     schedule = hybrid(NODES, 0.5)
     config = network(
         ring(NODES), priors, steps=STEPS, rounds=ROUNDS, lead=lead, schedule=schedule
-    ).world
+    ).environment
     state = environment.begin(config)
     for event in events:
         before = environment.phase_of(config, state)

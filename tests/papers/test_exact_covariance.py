@@ -81,9 +81,11 @@ def errors_of_driver(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (steps, N n) and covariances (steps, N, n, n) of the in-process driver."""
     setup = msgspec.structs.replace(prepare(scenario), prior_mean=prior_mean.tolist())
-    world = dataclasses.replace(build_environment(setup), draws=draws)
+    environment = dataclasses.replace(build_environment(setup), draws=draws)
     recorder = MemoryRecorder()
-    in_process.run(world, [build_node(setup, node) for node in range(scenario.nodes)], recorder)
+    in_process.run(
+        environment, [build_node(setup, node) for node in range(scenario.nodes)], recorder
+    )
     trace = read_trace(setup, recorder.messages)
     errors = trace.mean - trace.truth[:, None]
     return errors.reshape(trace.steps, -1), trace.cov

@@ -31,9 +31,11 @@ class World:
         return answer_s
 
 
-def compared(monkeypatch: pytest.MonkeyPatch, world: World, ask: Callable, trips: int) -> float:
+def compared(
+    monkeypatch: pytest.MonkeyPatch, environment: World, ask: Callable, trips: int
+) -> float:
     with monkeypatch.context() as patch:
-        patch.setattr(clock.time, "monotonic", world.monotonic)
+        patch.setattr(clock.time, "monotonic", environment.monotonic)
         return ahead_s(ask, trips)
 
 
@@ -41,9 +43,9 @@ def compared(monkeypatch: pytest.MonkeyPatch, world: World, ask: Callable, trips
 def test_the_difference_is_wrong_by_half_the_shortest_way_at_most(
     apart_s: float, trips: list[tuple[float, float]]
 ):
-    world = World(apart_s, trips)
+    environment = World(apart_s, trips)
     with pytest.MonkeyPatch.context() as monkeypatch:
-        told_s = compared(monkeypatch, world, world.ask, len(trips))
+        told_s = compared(monkeypatch, environment, environment.ask, len(trips))
     shortest_s = min(there + back for there, back in trips)
     # Twice that, where it might also be one clock and is taken for one.
     bound_s = shortest_s / 2 if told_s else shortest_s
@@ -51,12 +53,14 @@ def test_the_difference_is_wrong_by_half_the_shortest_way_at_most(
 
 
 def test_one_clock_is_not_told_from_itself(monkeypatch: pytest.MonkeyPatch):
-    world = World(0.0, [(0.001, 0.004)])
-    assert compared(monkeypatch, world, world.ask, 1) == 0.0
+    environment = World(0.0, [(0.001, 0.004)])
+    assert compared(monkeypatch, environment, environment.ask, 1) == 0.0
 
 
 def test_questions_that_nobody_answers_say_nothing(monkeypatch: pytest.MonkeyPatch):
-    world = World(50.0, [(0.1, 0.1)])
+    environment = World(50.0, [(0.1, 0.1)])
     answers = iter([None, 0, None])
-    asked = compared(monkeypatch, world, lambda: None if next(answers) is None else world.ask(), 3)
+    asked = compared(
+        monkeypatch, environment, lambda: None if next(answers) is None else environment.ask(), 3
+    )
     assert asked == pytest.approx(50.0)

@@ -65,7 +65,7 @@ def test_what_happens_is_told_in_order(tmp_path: Path):
     steps = [h.step for h in watcher.happened if h.what == "step"]
     assert steps == sorted(set(steps))
     assert steps[-1] == 40
-    assert set(watcher.pids) == {"recorder", "world", "0", "1", "2", "3"}
+    assert set(watcher.pids) == {"recorder", "environment", "0", "1", "2", "3"}
     assert nobody(watcher.pids)
     trace = trace_of(setup, tmp_path / "run.mcap")
     assert first_difference(reference(setup, tmp_path), trace, "processes") is None
@@ -73,7 +73,7 @@ def test_what_happens_is_told_in_order(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("victim", "named"),
-    [("world", "the world"), ("recorder", "the recorder")],
+    [("environment", "the environment"), ("recorder", "the recorder")],
 )
 def test_a_killed_process_ends_the_run_and_is_named(tmp_path: Path, victim: str, named: str):
     setup = small(steps=LONG)
@@ -91,7 +91,7 @@ def parent_of(pid: int) -> int:
     return int(parent.split()[1])
 
 
-@pytest.mark.parametrize("stopped", [None, "0", "recorder", "world"])
+@pytest.mark.parametrize("stopped", [None, "0", "recorder", "environment"])
 def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path, stopped: str | None):
     """Also a child that is stopped, which hears of no end."""
     setup = small(steps=LONG)
@@ -109,7 +109,7 @@ def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path, stopped: st
     assert trace_of(setup, tmp_path / "run.mcap").steps >= 15
 
 
-@pytest.mark.parametrize("victim", ["world", "recorder"])
+@pytest.mark.parametrize("victim", ["environment", "recorder"])
 def test_a_stopped_launcher_process_still_sees_the_end_of_a_child(tmp_path: Path, victim: str):
     def strike(pids: dict[str, int]) -> None:
         os.kill(parent_of(pids["0"]), signal.SIGSTOP)

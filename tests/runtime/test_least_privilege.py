@@ -10,7 +10,11 @@ import pytest
 
 from concord.runtime.network.access_control import rights
 
-ENVIRONMENT, NOBODY, ALL = {"world"}, set(), {"world", "recorder", "monitor", "operator"}
+ENVIRONMENT, NOBODY, ALL = (
+    {"environment"},
+    set(),
+    {"environment", "recorder", "monitor", "operator"},
+)
 WATCHERS = {"recorder", "monitor", "operator"}
 NODES = {"node-0", "node-1"}
 # Topic below concord/<run>/: (processes that may publish it, processes that may hear it).
@@ -27,12 +31,12 @@ PUBLISHED: dict[str, tuple[set[str], set[str]]] = {
     "truth": (ENVIRONMENT, WATCHERS),
     "finished": (ENVIRONMENT, WATCHERS),
     "event": (ENVIRONMENT, WATCHERS),
-    "end": ({"world", "recorder"}, ALL | NODES),
+    "end": ({"environment", "recorder"}, ALL | NODES),
     "gone": (ENVIRONMENT, WATCHERS | NODES),
     "gone/1": (ENVIRONMENT, WATCHERS | {"node-1"}),
     "welcome/0": (ENVIRONMENT, WATCHERS | {"node-0"}),
     "recorded/0": ({"recorder"}, ALL | {"node-0"}),
-    "recorded/world": ({"recorder"}, ALL),
+    "recorded/environment": ({"recorder"}, ALL),
     "watch/estimate": ({"recorder"}, WATCHERS),
     "again/hello/0": ({"node-0"}, ALL),
     "again/bid/0": ({"node-0"}, ALL),
@@ -47,7 +51,7 @@ PUBLISHED: dict[str, tuple[set[str], set[str]]] = {
     "share/2": (NOBODY, WATCHERS | NODES),
     "anything/else": (NOBODY, WATCHERS),
 }
-TOKENS = {"ready/0": {"node-0"}, "ready/1": {"node-1"}, "ready/world": {"world"},
+TOKENS = {"ready/0": {"node-0"}, "ready/1": {"node-1"}, "ready/environment": {"environment"},
           "ready/recorder": {"recorder"}, "ready/monitor": NOBODY}  # fmt: skip
 QUERIES = {
     "state": (ENVIRONMENT, WATCHERS | NODES),

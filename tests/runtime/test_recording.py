@@ -161,7 +161,7 @@ def test_an_interruption_at_any_moment_leaves_a_readable_recording(tmp_path: Pat
             recorder = McapRecorder(file, 1, STEP_S, SHARE_FRAMES)
             signal.setitimer(signal.ITIMER_REAL, 0.002 + attempt * 0.0007)
             try:
-                in_process.run(net.world, net.nodes, recorder)
+                in_process.run(net.environment, net.nodes, recorder)
                 time.sleep(0.1)
             except Interrupted:
                 pass

@@ -86,7 +86,12 @@ def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch
     transport = Standing()
     transport.may.set()
     speaker = republisher.Republisher(
-        cast(Transport, transport), "the world", "truth", 8, lambda: "", lambda: [("gone", b"3")]
+        cast(Transport, transport),
+        "the environment",
+        "truth",
+        8,
+        lambda: "",
+        lambda: [("gone", b"3")],
     )
     speaker.begin()
     deadline_s = time.monotonic() + 20

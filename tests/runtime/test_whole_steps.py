@@ -40,7 +40,7 @@ def sources(messages: list[Said]) -> dict[str, list[tuple[int, Said]]]:
         kind, _, node = topic.partition("/")
         if kind in ("bid", "grant", "welcome"):
             continue
-        source = node if kind in ("share", "estimate") else "world"
+        source = node if kind in ("share", "estimate") else "environment"
         said[source].append((-1 if kind == "share" else decode(topic, data).step, (topic, data)))
     for mine in said.values():
         step = STEPS
@@ -67,7 +67,7 @@ def test_processes_may_overtake_each_other(seed: int):
     mixed: list[Said] = []
     while said:
         slowest = min(mine[0][0] for mine in said.values())
-        heard = said["world"][0][0] if "world" in said else STEPS
+        heard = said["environment"][0][0] if "environment" in said else STEPS
         # The environment begins a step before the nodes; its message may still arrive after theirs.
         soon = min(slowest + 4, heard + 1)
         source = order.choice([name for name, mine in said.items() if mine[0][0] <= soon])
@@ -95,12 +95,14 @@ def test_a_step_is_given_with_the_last_word_of_those_who_are_in():
             assert [one.number for one in given_now] == ([step] if is_last else [])
 
 
-@pytest.mark.parametrize("late", ["world", "2", "everybody but the world"])
+@pytest.mark.parametrize("late", ["environment", "2", "everybody but the environment"])
 def test_a_link_that_is_far_behind_makes_no_hole(late: str):
     """A page showed all nodes as dead when the environment's link was quicker than theirs."""
     said = [(source, message) for source, mine in sources(MESSAGES).items() for _, message in mine]
     behind = [
-        one for one in said if (one[0] == late) != (late.startswith("every") and one[0] != "world")
+        one
+        for one in said
+        if (one[0] == late) != (late.startswith("every") and one[0] != "environment")
     ]
     ahead = [one for one in said if one not in behind]
     expected = {step.number: set(step.messages) for step in steps_of(MESSAGES)}

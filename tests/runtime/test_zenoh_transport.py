@@ -157,8 +157,8 @@ supervisor.stop()
 """
     with family([sys.executable, "-c", BEGINNING + text], tmp_path) as run:
         code, out, err = run.end(30)
-    assert (code, out) == (0, "world 1\n")
-    assert "node 1 runs configuration 'bbbbbbbbbbbb', the world 'aaaaaaaaaaaa'" in err
+    assert (code, out) == (0, "environment 1\n")
+    assert "node 1 runs configuration 'bbbbbbbbbbbb', the environment 'aaaaaaaaaaaa'" in err
 
 
 # The talker sends more messages on one topic than its queue takes, then one on another topic. The

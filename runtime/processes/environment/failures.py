@@ -19,6 +19,6 @@ def compare(hello: Hello, fingerprint: str) -> None:
     """
     if hello.fingerprint != fingerprint:
         raise Disagreement(
-            f"node {hello.node} runs configuration {hello.fingerprint[:12]!r}, the world "
+            f"node {hello.node} runs configuration {hello.fingerprint[:12]!r}, the environment "
             f"{fingerprint[:12]!r}; give all the same setup and version"
         )

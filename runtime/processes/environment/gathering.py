@@ -42,7 +42,7 @@ def await_processes(transport: Transport, names: Sequence[str]) -> None:
     """Wait until processes of all these names are there."""
     while not transport.await_present(names, _TELL_S):
         missing = transport.missing(names)
-        sys.stderr.write(f"the world waits for {in_words(missing)}\n")
+        sys.stderr.write(f"the environment waits for {in_words(missing)}\n")
 
 
 def await_hellos(inbox: EnvironmentInbox, nodes: int, fingerprint: str) -> None:

@@ -94,7 +94,7 @@ class EnvironmentInbox:
         """Count a message that cannot be used, and show the first. Runs on: any thread."""
         # A flood of such lines would hide all others.
         if self.refused.add() == 0:
-            sys.stderr.write(f"world: {why}\n")
+            sys.stderr.write(f"environment: {why}\n")
 
     def ask(self, payload: bytes) -> bytes:
         """Have the loop answer a command. Runs on: a thread of zenoh's."""
@@ -103,7 +103,7 @@ class EnvironmentInbox:
         try:
             return msgspec.json.encode(answer.get(timeout=_ANSWER_S))
         except Empty:
-            return msgspec.json.encode(Answer(False, "the world does not answer; try again"))
+            return msgspec.json.encode(Answer(False, "the environment does not answer; try again"))
 
     def _hear_again(self, name: str, data: bytes) -> None:
         topic = name.partition("/")[2]

@@ -97,7 +97,7 @@ class EnvironmentProcess:
         self.transport = Transport(run, links, TOPICS, ENVIRONMENT_QUEUE, answers=True)
         self.inbox = EnvironmentInbox(self.transport, config.nodes)
         self.republisher = Republisher(
-            self.transport, "the world", "truth", _KEPT, self._waits_for, self._repeated
+            self.transport, "the environment", "truth", _KEPT, self._waits_for, self._repeated
         )
         self._lines = Lines(self.transport, self.republisher, self.inbox.notify)
         self.transport.answer("state", self._state)
@@ -205,7 +205,7 @@ class EnvironmentProcess:
         # A flood of such lines would hide all others.
         if line not in self._told_lines:
             self._told_lines.add(line)
-            sys.stderr.write(f"world: {line}\n")
+            sys.stderr.write(f"environment: {line}\n")
 
     # --- on zenoh's threads, and on that of the republisher ---------------------------------------
 

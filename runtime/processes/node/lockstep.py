@@ -168,4 +168,4 @@ class LockstepNode:
         kind, _, owner = queues.awaited.partition("/")
         if queues.out or kind == "measured":
             return ""
-        return f"what node {owner} has to say" if kind == "share" else "a grant of the world"
+        return f"what node {owner} has to say" if kind == "share" else "a grant of the environment"
