@@ -47,6 +47,8 @@ class Bridge:
         point: Callable[[int | None], None],
     ) -> None:
         self._pick, self._point = pick, point
+        # The browser of the last press.
+        self.client: viser.ClientHandle | None = None
         self._nodes = {str(node): node for node in range(nodes)}
         self._pressed: WeakKeyDictionary[viser.ClientHandle, str] = WeakKeyDictionary()
         self._content = ""
@@ -78,5 +80,6 @@ class Bridge:
         node = self._nodes.get(pressed.partition("@")[0])
         if node is not None and self._pressed.get(event.client) != pressed:
             self._pressed[event.client] = pressed
+            self.client = event.client
             self._pick(node)
         self._point(self._nodes.get(pointed))

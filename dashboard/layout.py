@@ -16,7 +16,7 @@ _DOCK, _MARGIN = 8, 26
 _STRIP = 40
 # Below this width viser shows all panels in one column, whatever their places.
 PHONE_WIDTH = 576
-_SMALL_WIDTH, _WIDE_WIDTH = 1100, 1500
+SMALL_WIDTH, _WIDE_WIDTH = 1100, 1500
 
 
 class Panels(NamedTuple):
@@ -45,7 +45,7 @@ class Columns(NamedTuple):
 
 def columns_for(width: int) -> Columns:
     """Return the widths of the panels in a window of so many pixels."""
-    if width < _SMALL_WIDTH:
+    if width < SMALL_WIDTH:
         return Columns(_STRIP, 300, 200)
     if width < _WIDE_WIDTH:
         return Columns(248, 344, 214)
@@ -81,25 +81,25 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
             # The column covers the lower half once it is opened.
             return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, height / 2)
         columns = columns_for(width)
-        main, right = client.gui.main_panel, _place_of(client, upper)
+        main, right = client.gui.main_panel, place_of(client, upper)
         main.dock_left()
-        if width < _SMALL_WIDTH:
+        if width < SMALL_WIDTH:
             main.minimize()
         else:
             main.expand()
             main.set_width(columns.left)
         right.dock_right()
         right.set_width(columns.right)
-        _place_of(client, lower)._set_position(
+        place_of(client, lower)._set_position(
             {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
         )
         canvas = max(width - columns.left - columns.right - _DOCK, 360)
         bus_height = _bus_height(canvas)
-        _place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
+        place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
         size = columns.zoom
-        corner_panel = _place_of(client, zoom_panel)
+        corner_panel = place_of(client, zoom_panel)
         corner_panel.float(x=-8, y=8, width=size, height=size + 100)
-        if width < _SMALL_WIDTH:
+        if width < SMALL_WIDTH:
             corner_panel.minimize()
             covered = _MARGIN
         else:
@@ -114,7 +114,7 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
     )  # fmt: skip
 
 
-def _place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.MainPanelHandle:
+def place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.MainPanelHandle:
     """Return a handle that places a panel of all browsers in the window of one.
 
     viser has handles of one scope only; a handle of the main panel is bound to a client and to an

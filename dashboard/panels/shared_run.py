@@ -76,7 +76,7 @@ def shared_run(
         "told": [_told(frame) for frame in last],
         "bus": buses,
     }
-    drawn = "".join(_chart(theme, chart) for chart in charts if _known(chart))
+    drawn = "".join(chart_svg(theme, chart) for chart in charts if _known(chart))
     names = {"WIDTH": _WIDTH, "LEFT": _LEFT, "FRAME": FRAME_S}
     constants = "".join(f"const {name}={value:g};" for name, value in names.items())
     # No text of a run can end the element that holds it.
@@ -107,7 +107,7 @@ def _known(chart: Drawn) -> bool:
     return any(np.isfinite(curve.values).any() for curve in chart.curves)
 
 
-def _chart(theme: Theme, chart: Drawn) -> str:
+def chart_svg(theme: Theme, chart: Drawn) -> str:
     """Return a chart as SVG with a cursor, and the names of its curves."""
     curves = [curve for curve in chart.curves if np.isfinite(curve.values).any()]
     values = [_scaled(curve, chart.is_logarithmic) for curve in curves]

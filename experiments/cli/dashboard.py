@@ -16,7 +16,7 @@ from concord.experiments.monte_carlo.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
 from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
 from concord.experiments.priority import give_way
-from concord.experiments.results.folder import RECORDING, read_description
+from concord.experiments.results.folder import ARRAYS, RECORDING, read_description
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
@@ -128,10 +128,14 @@ def replay(
     options: Annotated[PageOptions, tyro.conf.arg(name="")],
     beside: tyro.conf.Positional[Path | None] = None,
 ) -> None:
-    """Show a recorded run in the browser: its run.mcap or its folder.
+    """Show a recorded run in the browser: its run.mcap or its folder; or the result of a sweep.
 
-    A second run of the same scenario and seed is drawn beside it, and compared with it.
+    A second run of the same scenario and seed is drawn beside it, and compared with it. A page of a
+    sweep shows its cells, and computes and opens the runs that its viewers press.
     """
+    if recording.suffix == ".nc" and recording.name != ARRAYS:
+        _explore(recording, options, beside)
+        return
     from concord.dashboard.serve import open_recording, other_run
     from concord.experiments.monte_carlo.intervals import ratio_t
 
@@ -156,6 +160,29 @@ def replay(
     finally:
         others.close()
         page.close()
+
+
+def _explore(result: Path, options: PageOptions, beside: Path | None) -> None:
+    """Show the result of a sweep."""
+    with user_errors():
+        if beside is not None:
+            raise ValueError(f"{result}: a sweep is shown alone; leave {beside} out")
+        check_place(options.host, options.http_port)
+        from concord.dashboard.sweeps.sweep_page import SweepPage
+        from concord.dashboard.theme import DARK, LIGHT
+        from concord.experiments.sweep.explored import UP, RunPages, swept_of
+        from concord.experiments.sweep.results import read_result
+
+        dataset = read_result(result)
+        theme = LIGHT if options.light else DARK
+        swept, runs = swept_of(dataset, result.name), RunPages(dataset, result, options)
+        page = SweepPage(swept, runs.open, options.host, options.http_port, theme, UP)
+    sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
+    try:
+        page.run(lambda: False)
+    finally:
+        page.close()
+        runs.close()
 
 
 def _recorded(recording: Path) -> tuple["Setup", Path]:
