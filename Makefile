@@ -9,12 +9,14 @@ demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
 		--schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
-# A worker for each processor; the tests of a file stay together.
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
+# A worker for each processor; the tests of a file stay together. The long tests often wait for
+# processes and clocks, so three workers share two processors.
+PYTEST := $(BIN)/python -m pytest --dist loadfile
+LONG_WORKERS := $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 LONG := slow or zenoh or browser
 
 test: .venv/dev.stamp
-	$(PYTEST) -m "not ($(LONG))"
+	$(PYTEST) -n auto -m "not ($(LONG))"
 	@echo "make test-slow runs the others: processes, pages, studies, and the dashboard in a browser"
 
 # What the tests of the dashboard need; without it they are skipped, and say so.
@@ -28,7 +30,7 @@ screenshots: .venv/dev.stamp browser
 	$(BIN)/python -m docs.screenshots
 
 test-slow: .venv/dev.stamp
-	$(PYTEST) -m "$(LONG)"
+	$(PYTEST) -n $(LONG_WORKERS) -m "$(LONG)"
 
 # The optional parts of concord, and the tools of its developers.
 extras: .venv/dev.stamp

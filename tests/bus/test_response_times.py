@@ -163,7 +163,7 @@ def tables(draw: st.DrawFn) -> list[MessageSlot]:
 @settings(max_examples=40)
 @given(tables(), st.integers(0, 2**32 - 1))
 def test_no_random_traffic_responds_later_than_its_bound(slots: list[MessageSlot], seed: int):
-    worst = simulated(SHORT, slots, 1500, seed)
+    worst = simulated(SHORT, slots, 600, seed)
     for bound, seen in zip(bounds(SHORT, slots), worst, strict=True):
         assert seen <= bound + 1e-6
 

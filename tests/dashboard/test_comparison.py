@@ -155,6 +155,7 @@ def test_each_chart_has_a_line_of_the_other_run_and_the_errors_a_difference(pair
         assert len(set(solid)) == len(solid)
 
 
+@pytest.mark.slow
 def test_the_command_refuses_runs_of_other_seeds_in_one_sentence(tmp_path: Path):
     for seed in (1, 2):
         run = [*CONCORD, "run", "--nodes", "4", "--steps", "5", "--seed", str(seed)]

@@ -173,6 +173,7 @@ def test_what_there_is_to_choose_from_is_told_without_what_computes():
     assert not loaded_by("list") & (SLOW_TO_LOAD | {"zenoh", "mcap"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["control", "keys", "setup", "router", "environment", "node", "dashboard", "flexray"]
 )

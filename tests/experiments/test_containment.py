@@ -33,6 +33,7 @@ def test_a_node_that_is_out_keeps_no_set_and_one_that_lost_its_set_does():
     assert (found.violations, found.sets) == (1, 5)
 
 
+@pytest.mark.slow
 def test_a_run_says_containment_instead_of_anees(tmp_path: Path, capsys):
     arguments = ["run", "--scenario", "liu2021-network", "--nodes", "6", "--steps", "25"]
     arguments += ["--occupancy", "0.3"]

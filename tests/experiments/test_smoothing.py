@@ -40,6 +40,7 @@ def test_the_file_has_both_beliefs_and_the_figures_tell_them(
     assert "smoothed (smoothed.nc): nodes differ from it by" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", ["ukf", "iekf", "srckf"])
 def test_the_reference_is_nearer_to_the_truth_and_consistent(filter: str):
     """A linear plant, 6 runs: the error of later readings is known to be smaller."""

@@ -147,6 +147,7 @@ def test_an_empty_scan_lowers_the_existence_and_a_missing_one_does_not():
     assert empty.tracks.existence[0] < 0.5
 
 
+@pytest.mark.slow
 def test_scans_that_a_record_does_not_hold_are_shortened_and_counted():
     crowded = dataclasses.replace(SMALL, clutter=90, payload_bytes=98, rounds=3, steps=6)
     run = run_swarm(crowded)

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+from functools import cache
 from pathlib import Path
 
 import msgspec
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray
 
-from concord.experiments.tracking.swarm_run import run_swarm
+from concord.experiments.tracking.swarm_run import SwarmRun, run_swarm
 from concord.experiments.tracking.track_log import TrackLog
 from concord.filters.tracking import tracker
 from concord.filters.tracking.scores import gospa
@@ -24,9 +25,15 @@ SMALL = TargetSwarm(nodes=8, targets=4, steps=20, clutter=3)
 SMALL_WORDS = ("--nodes", "8", "--targets", "4", "--steps", "20", "--clutter", "3")
 
 
+@cache
+def small_run() -> SwarmRun:
+    """Return the run of the small swarm; many tests compare with it."""
+    return run_swarm(SMALL)
+
+
 def test_the_command_prints_what_the_run_gives(capsys: pytest.CaptureFixture[str]):
     printed = json.loads(concord(capsys, "track", *SMALL_WORDS, "--json").out)
-    assert printed["runs"] == [msgspec.to_builtins(run_swarm(SMALL))]
+    assert printed["runs"] == [msgspec.to_builtins(small_run())]
     assert printed["options"] == {**dataclasses.asdict(SMALL), "changes": []}
     table = concord(capsys, "track", *SMALL_WORDS).out
     assert f"{printed['runs'][0]['centre']['gospa_m']:.3g}" in table
@@ -36,12 +43,14 @@ def test_the_command_prints_what_the_run_gives(capsys: pytest.CaptureFixture[str
 
 
 def test_runs_are_independent_and_each_can_be_repeated(capsys: pytest.CaptureFixture[str]):
-    words = ("track", *SMALL_WORDS, "--workers", "1", "--json")
+    steps = 8
+    smaller = ("--nodes", "8", "--targets", "4", "--steps", str(steps), "--clutter", "3")
+    words = ("track", *smaller, "--workers", "1", "--json")
     both = json.loads(concord(capsys, *words, "--runs", "2").out)["runs"]
     second = json.loads(concord(capsys, *words, "--run", "1").out)["runs"]
     assert both[1:] == second and both[0] != both[1]
     table = concord(capsys, *words[:-1], "--runs", "2", "--alone").out
-    pairs = SMALL.steps * SMALL.nodes * (SMALL.nodes - 1)
+    pairs = steps * SMALL.nodes * (SMALL.nodes - 1)
     assert "±" in table
     assert f"{pairs} pairs of nodes had equal records; the tracks of 0 differ." in table
 
@@ -74,7 +83,7 @@ def test_bad_input_is_refused(
 
 
 def test_nodes_with_all_scans_are_as_good_as_the_centre_but_for_rounding():
-    run = run_swarm(SMALL)
+    run = small_run()
     assert run.held == 1 and run.alike == 1
     assert run.nodes.gospa_m == pytest.approx(run.centre.gospa_m, rel=0.1)
     assert run.nodes.missed < 2 and run.nodes.false < 1
@@ -87,7 +96,7 @@ def test_a_tracker_that_keeps_the_order_of_arrival_is_found_out(monkeypatch: pyt
 
 
 def test_few_rounds_and_losses_cost_the_nodes_but_not_the_centre():
-    full = run_swarm(SMALL)
+    full = small_run()
     lossy = run_swarm(dataclasses.replace(SMALL, rounds=1, loss=0.5))
     assert lossy.centre == full.centre
     assert lossy.held < 0.9 and lossy.alike < 0.5
@@ -96,7 +105,7 @@ def test_few_rounds_and_losses_cost_the_nodes_but_not_the_centre():
 
 def test_nearest_neighbours_are_another_tracker():
     nearest = run_swarm(dataclasses.replace(SMALL, association="nearest"))
-    assert nearest.centre != run_swarm(SMALL).centre
+    assert nearest.centre != small_run().centre
     assert nearest.centre.missed < 2
 
 
@@ -151,6 +160,7 @@ def test_the_file_of_tracks_gives_the_scores(tmp_path: Path, capsys: pytest.Capt
     assert "exists" in refused(concord(capsys, *words, "-o", str(tmp_path / "kept")))
 
 
+@pytest.mark.slow
 def test_the_page_reads_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):

@@ -125,6 +125,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Setup, Histories
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

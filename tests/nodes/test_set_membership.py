@@ -81,6 +81,7 @@ def test_an_uncontrolled_plant_leaves_every_scale_but_no_set(rule: str):
     assert (radii(setup) <= 1).all()
 
 
+@pytest.mark.slow
 @RULES
 @pytest.mark.parametrize("gap", [0, 1, 6])
 def test_a_node_that_begins_anew_from_an_older_set_holds_the_truth(rule: str, gap: int):

@@ -74,7 +74,7 @@ def any_events(draw: st.DrawFn, config: NodeConfig) -> list[NodeEvent]:
 
 
 @given(st.data(), st.sampled_from(sorted(SCHEDULES)), st.booleans())
-@settings(max_examples=400)
+@settings(max_examples=200)
 def test_a_node_survives_any_events(data: st.DataObject, name: str, held: bool):
     config = middle_node(SCHEDULES[name], hold_policy=DECAYED if held else DROP)
     events = data.draw(any_events(config))

@@ -30,6 +30,7 @@ def radii_and_widths(asked: Scenario, runs: int) -> tuple[np.ndarray, np.ndarray
     return radii, np.sqrt(np.trace(histories.cov, axis1=-2, axis2=-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -57,6 +58,7 @@ def test_readings_determine_the_state_where_shared_sets_leave_it_wide():
     assert np.median(shared[:, 5]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -102,6 +102,7 @@ def test_a_recording_cut_at_any_byte_is_read_up_to_the_cut(
     assert len(fewer) <= len(more)
 
 
+@pytest.mark.slow
 def test_an_open_recording_cut_anywhere_is_readable_too(tmp_path: Path):
     file = tmp_path / "run.mcap"
     unclosed, _ = write(file, MESSAGES[:6])

@@ -32,6 +32,7 @@ def lies(size: float, inverse_volume: float, *liars: int) -> list[str]:
     return [f"{FROM_STEP} lie {liar} {size:g} {inverse_volume:g}" for liar in liars]
 
 
+@pytest.mark.slow
 def test_as_many_liars_as_were_said_do_not_drag_it_away_and_one_more_does():
     plain = error_m("ci")
     assert error_m("ci", *lies(20, 100, 3)) > 10 * plain

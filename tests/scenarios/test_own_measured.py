@@ -70,6 +70,7 @@ def test_the_example_of_meng_is_one_of_these():
     assert np.abs(ours.mean[:, 0] - named.mean[:, 0]).max() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("receiver", ["tight", "fast-rate", "paper", "fast", *ZONOTOPES])
 def test_every_set_of_a_bounded_plant_holds_the_truth(receiver: str):
     chosen: Any = receiver if receiver in ZONOTOPES else EllipsoidReceiver(method=receiver)  # type: ignore[arg-type]

@@ -60,7 +60,7 @@ def test_a_frame_fails_for_all_receivers_or_for_none():
 @pytest.mark.parametrize("retransmissions", [1, 3])
 def test_tries_fail_as_often_as_they_are_struck(retransmissions: int):
     """The number of failed tries is geometric, up to the last try."""
-    p, steps = 0.4, 200
+    p, steps = 0.4, 100
     struck = run(network(retransmissions, steps=steps), f"0 crc 2 {p}")
     frames = struck.counters[2]["sent"]
     lost = struck.counters[0].get("rejected error-frame", 0)

@@ -189,7 +189,7 @@ def _changes(disturbed: Disturbances) -> list[int]:
     return found
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(DRIFTS, OUTAGES, st.integers(0, 3000))
 def test_cycles_that_are_left_out_change_no_state(
     drifts: list[ClockDrift], outages: list[SyncOutage], cycle: int
