@@ -75,6 +75,7 @@ def test_every_sound_hold_policy_keeps_it_inside(rule: str, hold: str):
     assert (radii(network(rule=rule, hold=hold, schedule="hybrid", occupancy=0.3)) <= 1).all()
 
 
+@pytest.mark.slow
 @RULES
 def test_an_uncontrolled_plant_leaves_every_scale_but_no_set(rule: str):
     setup = network(rule=rule, control="open", steps=300, nodes=2, graph="path", rounds=1)

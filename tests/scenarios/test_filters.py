@@ -58,6 +58,7 @@ def test_the_kalman_filter_runs_on_linear_plants_as_the_unscented_one(name: str)
         np.testing.assert_allclose(found[one].mean, found["kf"].mean, rtol=1e-6, atol=1e-6 * scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["ci", "hcmci", "diffusion"])
 @pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "kf"])
 def test_batches_give_the_numbers_of_messages(name: str, rule: str):
