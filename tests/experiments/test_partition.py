@@ -159,7 +159,7 @@ def test_in_lockstep_the_worlds_side_goes_on_and_the_others_come_back(
     assert not out[:, [0, 1]].any()
     assert out[:, FAR].any(axis=0).all()
     assert not out[-5:].any()
-    assert disagreement(trace, slice(-10, None)) < 2 * disagreement(trace, slice(10, 50))
+    assert disagreement(trace, slice(-5, None)) < 2 * disagreement(trace, slice(10, 50))
     with capsys.disabled():
         steps = int(out.sum(axis=0).max())
         sys.stdout.write(

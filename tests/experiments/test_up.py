@@ -93,7 +93,7 @@ def test_a_network_over_ssh_has_the_bits_of_one_process_and_one_log(machine: Pat
 def ends_by_interruption(network: Family) -> None:
     network.send(signal.SIGINT)
     code, _, err = network.end(30)
-    assert code == 130 and "alpha environment  | interrupted" in err, err
+    assert code == 130 and "alpha environment | interrupted" in err, err
 
 
 def ends_by_death(network: Family) -> None:
@@ -131,7 +131,7 @@ def test_a_node_is_killed_and_restarted_and_all_end_with_the_command(
         network.await_line("beta node 1  | Killed")
         network.await_line("beta node 1  | run hosts: nodes 1 look for it")
         # With the node the network goes on.
-        network.await_line("alpha environment  | oscillator: ", 120)
+        network.await_line("alpha environment | oscillator: ", 120)
         end(network)
         assert network.gone_within(30)
 
