@@ -40,7 +40,8 @@ class NetworkOverSsh:
         ]
         self._nodes = {process.name: process for process in processes}
         longest = max(len(f"{one.host} {one.name}") for one in processes)
-        self._width = max(longest, *(len(f"{host} router") for host in plan.hosts))
+        routers = (len(f"{host} router") for host in plan.hosts)
+        self._width = max(longest, len(f"{plan.environment} {ENVIRONMENT}"), *routers)
 
     def __enter__(self) -> "NetworkOverSsh":
         return self

@@ -117,19 +117,21 @@ def test_a_node_is_killed_and_restarted_and_all_end_with_the_command(
             typed.write(f"{line}\n")
             typed.flush()
 
-        network.await_line("beta node 1  | run hosts: nodes 1 look for it")
+        network.await_line("beta node 1       | run hosts: nodes 1 look for it")
         write("kill 2")
         network.await_line("'kill 2' is no command")
         write("kill 1")
-        assert "beta node 1  | ended with exit code 137; `restart 1`" in network.await_line("137")
+        assert "beta node 1       | ended with exit code 137; `restart 1`" in network.await_line(
+            "137"
+        )
         write("kill 1")
         network.await_line("node 1 does not run")
         write("restart 1")
-        network.await_line("beta node 1  | run hosts: nodes 1 look for it")
+        network.await_line("beta node 1       | run hosts: nodes 1 look for it")
         # A node that runs is killed first.
         write("restart 1")
-        network.await_line("beta node 1  | Killed")
-        network.await_line("beta node 1  | run hosts: nodes 1 look for it")
+        network.await_line("beta node 1       | Killed")
+        network.await_line("beta node 1       | run hosts: nodes 1 look for it")
         # With the node the network goes on.
         network.await_line("alpha environment | oscillator: ", 120)
         end(network)
