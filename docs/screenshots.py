@@ -18,11 +18,11 @@ from concord.experiments.monte_carlo.other_runs import expected, told_by
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
-from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.frame_formats import frame_format
 
 _FLAGS = (
     "--no-sandbox",

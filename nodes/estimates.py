@@ -6,7 +6,13 @@ from typing import cast
 import numpy as np
 
 from concord.filters.linalg import pack_upper
-from concord.nodes.estimator import ChecksItself, KeepsPast, KeepsZonotope, WeighsShares
+from concord.nodes.estimator import (
+    ChecksItself,
+    KeepsPast,
+    KeepsTracks,
+    KeepsZonotope,
+    WeighsShares,
+)
 from concord.nodes.messages import Estimate, to_wire
 from concord.nodes.node_state import NodeConfig, NodeState
 
@@ -25,7 +31,9 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         smoothed, cov = cast(KeepsPast, estimator).smoothed(content)
         smoothed_std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
     checks = _has(type(estimator), ChecksItself)
-    weights = None
+    weights = tracks = None
+    if _has(type(estimator), KeepsTracks):
+        tracks = cast(KeepsTracks, estimator).tracks(content)
     if _has(type(estimator), WeighsShares):
         weights = cast(WeighsShares, estimator).weights(content)
     return Estimate(
@@ -39,6 +47,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
         absent=tuple(sorted(state.absent)),
         weights=None if weights is None else to_wire(weights.round(_WEIGHT_DECIMALS)),
+        tracks=tracks,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from concord.bus.bus import Rejected as Rejected
 from concord.filters.gaussian import Gaussian
-from concord.nodes.messages import Measured
+from concord.nodes.messages import Measured, ReportedTracks
 
 Content = TypeVar("Content")
 Share = TypeVar("Share")
@@ -85,6 +85,15 @@ class ChecksItself(Protocol):
 
     def is_suspect(self, content: Any) -> bool:
         """Whether it does not fit."""
+        ...
+
+
+@runtime_checkable
+class KeepsTracks(Protocol):
+    """An estimator that follows several targets, whose number `belief` tells."""
+
+    def tracks(self, content: Any) -> ReportedTracks:
+        """The tracks that stand for targets."""
         ...
 
 

@@ -8,11 +8,13 @@ is `null`.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
+from concord.filters.tracking.tracks import REPORT_COLUMNS
 from concord.nodes.bounds import (
     MAX_MESSAGE_BYTES,
     MAX_ROUNDS,
@@ -93,6 +95,18 @@ class Truth(msgspec.Struct, frozen=True):
     state: list[float | None]
 
 
+class ReportedTracks(msgspec.Struct, frozen=True):
+    """The tracks of a node that stand for targets, each a row of twelve numbers (`TrackReport`).
+
+    `records` is a digest of all records that the node has used, "" under rules without, and `bits`
+    one of all numbers of all its tracks.
+    """
+
+    rows: list[Annotated[list[float], Meta(min_length=REPORT_COLUMNS, max_length=REPORT_COLUMNS)]]
+    records: str
+    bits: str
+
+
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     """Node to environment: its belief after the last round of a step, and the shares it used.
 
@@ -104,7 +118,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     its belief. `age_s`: in real time, seconds since the sampling instant of the step. `absent`:
     the nodes that it takes for out. `weights` are those of the neighbours' shares in the last
     round, rounded to four decimals, of a rule that averages; the rest is the weight of the own
-    share.
+    share. `tracks` are those of a node that follows several targets.
     """
 
     node: NodeIndex
@@ -120,6 +134,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     age_s: float | None = None
     absent: NodeTuple = ()
     weights: list[float | None] | None = None
+    tracks: ReportedTracks | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -105,7 +105,7 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> AnyEs
     scenario = setup.scenario
     definition = definition_of(scenario)
     if definition.wiring is not None:
-        return definition.wiring.estimator(setup, node, bus, beginning.step)
+        return definition.wiring.estimator(setup, node, bus, beginning)
     context = NodeContext(
         node,
         rule_context(setup),

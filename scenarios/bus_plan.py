@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from concord.bus.arbitration import ARBITERS, Arbiter
-from concord.bus.bus import Bus, FrameFormat
+from concord.bus.bus import Bus
 from concord.bus.can_fd.bits import IDENTIFIER_BITS, Rates
 from concord.bus.can_fd.can_fd_bus import can_fd_bus
-from concord.bus.can_fd.frame import FRAMINGS as CAN_FRAMINGS
 from concord.bus.flexray.channels.plan import ChannelPlan, channel_plan
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels
@@ -21,11 +20,10 @@ from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus, written_bus
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import PRESETS, preset
-from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
+from concord.bus.flexray.share_frames import payload_lengths
 from concord.bus.flexray.written_slots import written_schedule
 from concord.bus.ideal import TimelessBus
 from concord.bus.plca.cycle import PlcaSettings
-from concord.bus.plca.ethernet import FRAMING as ETHERNET
 from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import (
     Schedule,
@@ -55,7 +53,7 @@ from concord.scenarios.types.buses import (
 )
 from concord.scenarios.types.rules import FloodingRule, latch_delay_of
 from concord.scenarios.user.arbiter import arbiter_named
-from concord.scenarios.user.bus import user_bus, user_frame_format
+from concord.scenarios.user.bus import user_bus
 from concord.topology.names import unknown_name
 
 # Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a
@@ -110,7 +108,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
         ValueError: there is no such schedule or arbiter here.
     """
     wiring = definition_of(scenario).wiring
-    if wiring is not None:
+    if wiring is not None and wiring.schedule is not None:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule
     if isinstance(chosen, WrittenSchedule):
@@ -190,7 +188,7 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         latch_delay_of(scenario.rule) or 0.0,
         None if (wiring := definition_of(scenario).wiring) is None else wiring.bid_span,
     )
-    return _BUSES[type(chosen)].build(chosen, request)
+    return _BUSES[type(chosen)](chosen, request)
 
 
 class BusRequest(NamedTuple):
@@ -250,10 +248,6 @@ def _can_fd(chosen: CanFd, asked: BusRequest) -> Bus:
     )
 
 
-def _can_fd_frames(chosen: CanFd) -> FrameFormat:
-    return CAN_FRAMINGS[IDENTIFIER_BITS[chosen.identifiers]].frame_format()
-
-
 def _ideal(chosen: Ideal, asked: BusRequest) -> Bus:
     _check_timeless(asked.schedule)
     return TimelessBus(asked.schedule, asked.share_bytes)
@@ -263,19 +257,12 @@ def _user(chosen: UserBus, asked: BusRequest) -> Bus:
     return user_bus(chosen, asked.schedule, asked.share_bytes, asked.arbiter_without_classes)
 
 
-class _BusKind(NamedTuple):
-    """How the buses of a class are built, and how their frames carry shares."""
-
-    build: Callable[[Any, BusRequest], Bus]
-    frames: Callable[[Any], FrameFormat]
-
-
-_BUSES: dict[type[SharedBus], _BusKind] = {
-    FlexRay: _BusKind(_flexray, lambda _: SHARE_FRAMES),
-    Plca: _BusKind(_plca, lambda _: ETHERNET.frame_format()),
-    CanFd: _BusKind(_can_fd, _can_fd_frames),
-    Ideal: _BusKind(_ideal, lambda _: SHARE_FRAMES),
-    UserBus: _BusKind(_user, user_frame_format),
+_BUSES: dict[type[SharedBus], Callable[[Any, BusRequest], Bus]] = {
+    FlexRay: _flexray,
+    Plca: _plca,
+    CanFd: _can_fd,
+    Ideal: _ideal,
+    UserBus: _user,
 }
 
 
@@ -299,11 +286,6 @@ def contenders_and_room(bus: Bus) -> tuple[int, int]:
     contenders = {node for row in bus.schedule.contender_table for node in row}
     room = bus.dynamic_room() if isinstance(bus, FlexRayBus) else len(contenders)
     return len(contenders), room
-
-
-def frame_format(scenario: Scenario) -> FrameFormat:
-    """Return how the frames of a scenario's bus carry shares."""
-    return _BUSES[type(scenario.bus)].frames(scenario.bus)
 
 
 def _check_timeless(schedule: Schedule) -> None:

@@ -12,6 +12,7 @@ from concord.scenarios.definitions import (
     mrclam,
     oscillator,
     own,
+    target_swarm,
     target_tracking,
     vehicle_network,
 )
@@ -24,6 +25,7 @@ from concord.topology.names import unknown_name
 _DEFINITIONS: dict[str, ScenarioDefinition] = {
     "target-tracking": target_tracking.TURNING,
     "target-crossing": target_tracking.CROSSING,
+    "target-swarm": target_swarm.DEFINITION,
     "oscillator": oscillator.DEFINITION,
     "mrclam": mrclam.DEFINITION,
     **control.DEFINITIONS,

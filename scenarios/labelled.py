@@ -18,12 +18,12 @@ from concord.nodes.rules.labelled_frame import (
 )
 from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_codec import record_codec
-from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import DynamicSchedule, FlexRay, occupancy_of, trigger_of
+from concord.scenarios.types.frame_formats import frame_format
 from concord.scenarios.types.rules import (
     LEAST_WINDOW_STEPS,
     EllipsoidFlooding,

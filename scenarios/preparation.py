@@ -119,6 +119,8 @@ def check_network(setup: Setup) -> None:
     if definition.wiring is None:
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
         _check_reach(setup)
+    else:
+        definition.wiring.check(setup)
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
     if isinstance(scenario.bus, UserBus):
         schedule = build_schedule(scenario, setup.neighbours)

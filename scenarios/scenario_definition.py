@@ -14,6 +14,7 @@ from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.links import Links
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
+from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 
@@ -73,20 +74,24 @@ class NetworkWiring(NamedTuple):
     """Building blocks of a network in which not every node filters and fuses.
 
     Attributes:
-        schedule: which nodes may publish in which cycle.
+        schedule: which nodes may publish in which cycle; None for the schedule of the options.
         share_bytes: length of a share.
-        estimator: (setup, node, bus, the step in which the node begins) -> that of the node.
-        batched: (setup, bus, links) -> all nodes of many runs.
+        estimator: (setup, node, bus, where the node begins) -> that of the node.
+        batched: (setup, bus, links) -> all nodes of many runs; None where `lacking` refuses all.
         names: what the options rule, schedule and hold may be here.
         bid_span: least and largest bid, where nodes bid with logarithms; None otherwise.
+        check: raises ValueError for a network that it cannot be.
+        lacking: what of a scenario has no array form; None if all has.
     """
 
-    schedule: Callable[[Scenario], Schedule]
+    schedule: Callable[[Scenario], Schedule] | None
     share_bytes: Callable[[Scenario], int]
-    estimator: Callable[[Setup, int, Bus, int], AnyEstimator]
-    batched: Callable[[Setup, Bus, Links], BatchedRule]
+    estimator: Callable[[Setup, int, Bus, Beginning], AnyEstimator]
+    batched: Callable[[Setup, Bus, Links], BatchedRule] | None
     names: dict[str, tuple[str, ...]]
     bid_span: tuple[int, int] | None = None
+    check: Callable[[Setup], None] = lambda _: None
+    lacking: Callable[[Scenario], str | None] = lambda _: None
 
 
 class ScenarioDefinition(NamedTuple):

@@ -34,7 +34,6 @@ COMMANDS = {
     "new": ("new", "new"),
     "reproduce": ("reproduce", "reproduce"),
     "identify": ("identify", "identify_tyres"),
-    "track": ("track", "track_swarm"),
     "sweep": ("sweep", "sweep"),
     "merge": ("sweep", "merge"),
     "compare": ("compare", "compare"),

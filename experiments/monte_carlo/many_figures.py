@@ -14,6 +14,7 @@ from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed
 from concord.experiments.results.innovations.figures import InnovationFigures
 from concord.experiments.results.innovations.of_run import judged
 from concord.experiments.results.trace import Past
+from concord.experiments.tracking.tracks_trace import distances_alone, distances_of_centre
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
@@ -99,9 +100,11 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     known = histories.truth[:, :, None]
     of_node = _where(counted, histories.mean - known)[..., list(score.states)]
     of_alone = _where(counted, alone.mean - known)[..., list(score.states)]
-    per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
     heard = _heard(histories)
     of_central, anees_central = _centralised(histories, counted, heard.belief)
+    if histories.tracks:
+        of_node, of_alone, of_central = _of_tracks(histories, counted)
+    per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
     central = rmse(of_central, (1,))
     states = len(score.nees_states)
     values = np.full_like(histories.nees, np.nan) if is_set_valued(scenario) else histories.nees
@@ -109,6 +112,8 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     spread = _where(counted, histories.mean)[..., list(score.states)]
     # Of those nodes that believe something: some may be out.
     spread = spread - mean_of_known(spread, (2,))[:, :, None]
+    if histories.tracks:
+        spread = np.full_like(spread, np.nan)
     whole = rmse(of_node, (1, 2))
     carried = traffic_of(setup, histories)
     innovations, sentence = _judged(histories, heard, counted, mean_of_known(consistency, (2,)))
@@ -212,6 +217,23 @@ def _centralised(
     normalised = scored_nees(setup.scenario, errors, belief.cov)
     anees = mean_of_known(normalised, (1,)) / len(score.nees_states)
     return errors[..., list(score.states)], anees
+
+
+def _of_tracks(
+    histories: Histories, counted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """GOSPA (R, S, N, 1) of nodes and of each alone, (R, S, 1) of one tracker with all scans."""
+    assert histories.readings is not None, "the caller has looked"
+    runs = [
+        (histories.setup, *one) for one in zip(histories.tracks, histories.readings, strict=True)
+    ]
+    found = (
+        np.stack([tracks.distances() for _, tracks, _ in runs]),
+        np.stack([distances_alone(*one) for one in runs]),
+        np.stack([distances_of_centre(*one) for one in runs]),
+    )
+    of_nodes, of_alone, of_central = (_where(counted, one)[..., None] for one in found)
+    return of_nodes, of_alone, of_central
 
 
 def _where(counted: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -13,16 +13,18 @@ from concord.experiments.monte_carlo.energy import energy_per_bit_nj
 from concord.experiments.monte_carlo.run_frame import RunFrame
 from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
+from concord.experiments.tracking.tracking_figures import track_figures
+from concord.experiments.tracking.tracks_trace import distances_of_centre
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
 from concord.filters.metrics import largest_of_known, mean_of_known
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.frame_formats import frame_format
 
 COVERED = 0.95
 
@@ -42,6 +44,12 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
     central_lengths = (central[..., states] ** 2).sum(-1)
     means = histories.mean[..., states]
     spreads = ((means - _average(means)) ** 2).sum(-1)
+    if histories.tracks:
+        runs = list(zip(histories.tracks, readings, strict=True))
+        lengths = np.stack([tracks.distances() for tracks, _ in runs]) ** 2
+        central_lengths = np.stack([distances_of_centre(setup, *one) for one in runs]) ** 2
+        # No average of sets of tracks is defined, from which they could differ.
+        spreads = np.full_like(lengths, np.nan)
     blind = np.isnan(readings).all(axis=(-1, -2))
     per_node = _root(scored.of(lengths), (1,))
     figures = {
@@ -59,6 +67,7 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
     figures |= _smoothed(setup, histories, frame, counted)
+    figures |= track_figures(setup, histories.tracks, readings)
     figures |= _consistency(setup, histories.nees, scored)
     figures["anees_centralised"] = _anees_central(setup, central, frame.cov, scored)
     return figures | traffic_of(setup, histories)

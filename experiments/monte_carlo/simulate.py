@@ -15,6 +15,7 @@ import numpy as np
 from concord.experiments.monte_carlo.spread_history import SpreadHistory
 from concord.experiments.results.record_spread import RecordSpread
 from concord.experiments.results.trace import Past, read_trace
+from concord.experiments.tracking.tracks_trace import TracksTrace
 from concord.filters.gaussian import Gaussian
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
@@ -66,6 +67,7 @@ class Histories(NamedTuple):
         suspect: (R, S, N), which nodes say that their belief does not fit what they have heard;
             None for rules that do not check.
         spreads: of labelled records, one of each run; empty for rules without.
+        tracks: of several targets, those of each run; empty for scenarios without.
     """
 
     setup: Setup
@@ -87,6 +89,7 @@ class Histories(NamedTuple):
     past: Past | None
     suspect: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
+    tracks: tuple[TracksTrace, ...] = ()
 
 
 class _Recorded(NamedTuple):
@@ -170,6 +173,7 @@ class _Collected:
         self._counters: dict[str, np.ndarray] = {}
         self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
         self._spreads: list[RecordSpread] = []
+        self._tracks: list[TracksTrace] = []
         self._done = 0
 
     def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
@@ -190,6 +194,7 @@ class _Collected:
             shape = (len(self._runs), setup.scenario.nodes)
             self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
         self._spreads += part.spreads()
+        self._tracks += part.tracks
 
     def _write_innovations(
         self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
@@ -215,18 +220,20 @@ class _Collected:
             innovations=innovations,
             past=past,
             spreads=tuple(self._spreads[:count]),
+            tracks=tuple(self._tracks[:count]),
             **fields,
         )
 
 
 class _Part(NamedTuple):
     """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
-    and how records spread once all steps are taken."""
+    how records spread once all steps are taken, and tracks of several targets."""
 
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
     prior_mean: np.ndarray
     spreads: Callable[[], Sequence[RecordSpread]]
+    tracks: Sequence[TracksTrace] = ()
 
 
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
@@ -317,7 +324,8 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
             )
 
     spreads = [] if trace.spread is None else [trace.spread]
-    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads)
+    tracks = [] if trace.tracks is None else [trace.tracks]
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, tracks)
 
 
 def _write(

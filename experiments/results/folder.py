@@ -23,6 +23,8 @@ from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.record_spread import record_ages
 from concord.experiments.results.trace import Past, Trace
 from concord.experiments.results.user_files import from_copies, keep_copies
+from concord.experiments.tracking.track_log import CUTOFF_M
+from concord.experiments.tracking.track_variables import track_variables
 from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import writing
@@ -186,6 +188,10 @@ def write_arrays(
     if trace.spread is not None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
+    if trace.tracks is not None:
+        variables |= track_variables(setup, trace.tracks, trace.readings)
+        gospa = trace.tracks.distances()
+        variables["gospa"] = (("step", "node"), gospa, {"units": "m", "cutoff": CUTOFF_M})
     if trace.suspect is not None:
         variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
     if trace.estimate_age_s is not None:

@@ -28,6 +28,9 @@ from concord.experiments.results.run_verdict import anees_interval, verdict, wor
 from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
+from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
+from concord.experiments.tracking.tracking_figures import lines as tracking_lines
+from concord.experiments.tracking.tracks_trace import distances_alone, distances_of_centre
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import disagreement, largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised, local_only
@@ -107,6 +110,7 @@ class Figures(msgspec.Struct, frozen=True):
     labelled: LabelledFigures | None = None
     innovations: InnovationFigures | None = None
     verdict: str | None = None
+    tracking: TrackingFigures | None = None
 
 
 def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -> Figures:
@@ -120,9 +124,14 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     alone = local_only(setup, trace.readings, trace.control)
     central = _centralised(setup, trace, found)
     network = Gaussian(trace.mean, trace.cov)
-    of_node = _errors(network.mean, trace.truth, score, first)
-    of_alone = _errors(alone.mean, trace.truth, score, first)
-    of_central = _errors(central.mean, trace.truth, score, first)
+    of_node, of_alone, of_central = (
+        _errors(one.mean, trace.truth, score, first) for one in (network, alone, central)
+    )
+    if trace.tracks is not None:
+        several = setup, trace.tracks, trace.readings
+        of_node = trace.tracks.distances()[first:, :, None]
+        of_alone = distances_alone(*several)[first:, :, None]
+        of_central = distances_of_centre(*several)[first:, None]
     per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
     who = _believers(network)
     central_rmse = float(rmse(of_central, (0,)))
@@ -144,7 +153,10 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
-        disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
+        # No average of sets of tracks is defined, from which they could differ.
+        disagreement=np.nan
+        if trace.tracks
+        else disagreement(network.mean[first:, who][..., list(score.states)]),
         anees=_unless(set_valued, _consistency(setup, network, trace, first, (0, 1))),
         anees_centralised=_unless(set_valued, _consistency(setup, central, trace, first, (0,))),
         near_s=score.near_s,
@@ -176,6 +188,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         smoothed=trace.past and _smoothed(setup, trace, trace.past, central, first),
         innovations=innovations,
         verdict=sentence,
+        tracking=trace.tracks and tracking_figures(setup, trace.tracks, trace.readings),
     )
 
 
@@ -366,6 +379,8 @@ def lines(figures: Figures) -> list[str]:
             f"{_short(one.rmse / one.rmse_centralised)} at {one.lag}" for one in chosen
         )
         text.append(f"smoothed, x the centralised smoother of that lag in steps: {ratios}")
+    if figures.tracking is not None:
+        text += tracking_lines(figures.tracking)
     if figures.noticed:
         counts = ", ".join(f"{name} {count}" for name, count in figures.noticed.items())
         text.append(f"nodes noticed: {counts}")

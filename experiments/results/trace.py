@@ -7,14 +7,15 @@ import numpy as np
 
 from concord.bus.bus import Fragment
 from concord.experiments.results.record_spread import RecordSpread, record_spread
+from concord.experiments.tracking.tracks_trace import TracksTrace, tracks_trace
 from concord.filters.linalg import unpack_upper
 from concord.nodes.changes import Event
 from concord.nodes.history import History, history_of, with_holes, without_lost_words
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.runtime.recorded import SharedFrame, meaning
-from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.frame_formats import frame_format
 from concord.scenarios.types.rules import MeasurementFlooding
 
 
@@ -48,6 +49,7 @@ class Trace(NamedTuple):
         for rules without, and where the network changed. past: for rules that estimate it. suspect:
         (steps, N), which nodes say that their belief does not fit what they have heard.
         estimate_age_s: (steps, N), age of each estimate when it was sent; None but in real time.
+        tracks: of several targets, whose number is the state.
     """
 
     truth: np.ndarray
@@ -65,6 +67,7 @@ class Trace(NamedTuple):
     past: Past | None = None
     suspect: np.ndarray | None = None
     estimate_age_s: np.ndarray | None = None
+    tracks: TracksTrace | None = None
 
     @property
     def steps(self) -> int:
@@ -168,10 +171,13 @@ def _assemble(
         size = max(len(u) for u in controls if u is not None)
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
     truth = np.array([from_wire(truths[k].state) for k in range(steps)])
+    truth = truth.reshape(steps, len(setup.initial_state))
+    there = {key: one for key, one in estimates.items() if history.is_in(key[1], key[0])}
+    tracks = tracks_trace(setup, truth, there)
     lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
     fragments = [(node, fragment) for node, fragment, _ in sent]
     return Trace(
-        truth=truth.reshape(steps, len(setup.initial_state)),
+        truth=truth if tracks is None else truth[:, :n],
         readings=readings,
         control=control,
         mean=mean,
@@ -186,6 +192,7 @@ def _assemble(
         past=past,
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
         estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
+        tracks=tracks,
     )
 
 

@@ -1,1 +1,1 @@
-"""Runs of several targets: tracks at a centre and at the nodes, and their scores."""
+"""Tracks of several targets in a run: their scores, their place in run.nc, and their figures."""

@@ -3,7 +3,6 @@
 import heapq
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from concord.filters.association.weights import Weights
 
@@ -69,6 +68,9 @@ def _solve(costs: np.ndarray) -> tuple[float, tuple[int, ...]] | None:
     # The solver refuses a matrix in which every column of a row is impossible.
     if np.isinf(costs).all(axis=1).any():
         return None
+    # Only here: a node without several targets need not load it.
+    from scipy.optimize import linear_sum_assignment
+
     try:
         rows, columns = linear_sum_assignment(costs)
     except ValueError:

@@ -8,10 +8,10 @@ are put in the order of their values first, so the order of their arrival has no
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from concord.filters import ukf
 from concord.filters.association.weights import Association, Weights, association_weights
@@ -190,7 +190,7 @@ def _updated(
         prior,
         sensor.clutter_density(scan.detections),
         gate_probability,
-        2 * gammaincinv(size / 2, gate_probability),
+        _gate(size, gate_probability),
     )
     association = settings.associate(weights)
     # A track without a detection may also be one whose target does not exist.
@@ -208,6 +208,15 @@ def _updated(
         symmetrise(belief.cov + gain @ spread @ gain.mT),
     )
     return tracks._replace(belief=after, existence=existence), association
+
+
+@cache
+def _gate(size: int, probability: float) -> float:
+    """Return the chi-square threshold of detections of so many numbers."""
+    # Only here: a node without several targets need not load it.
+    from scipy.special import gammaincinv
+
+    return float(2 * gammaincinv(size / 2, probability))
 
 
 def _replaced(tracks: Tracks, seen: np.ndarray, updated: Tracks) -> Tracks:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from concord.filters.gaussian import Gaussian
 
@@ -43,6 +44,49 @@ REPORTED_FROM = 0.5
 def reported(tracks: Tracks) -> Tracks:
     """Return the tracks that a user sees."""
     return tracks.chosen(tracks.confirmed & (tracks.existence >= REPORTED_FROM))
+
+
+def number_of_targets(tracks: Tracks, undetected: float) -> Gaussian:
+    """The number of targets: mean (1,), cov (1, 1).
+
+    Each track stands for a target by its existence. The targets that no sensor has seen yet are
+    Poisson with mean `undetected`.
+    """
+    there = tracks.existence
+    variance = (there * (1 - there)).sum() + undetected
+    return Gaussian(np.array([there.sum() + undetected]), np.array([[variance]]))
+
+
+REPORT_COLUMNS = IDENTITY + 1 + 8
+"""Numbers of a reported track with four states."""
+
+
+class TrackReport(NamedTuple):
+    """Tracks as a user sees them, in rows: identity (T, 3), existence (T,), mean and std (T, 4)."""
+
+    identity: np.ndarray
+    existence: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+
+    @property
+    def rows(self) -> np.ndarray:
+        """All numbers (T, 12)."""
+        return np.column_stack(self)
+
+
+def report(tracks: Tracks) -> TrackReport:
+    """Return the tracks that stand for targets."""
+    seen = reported(tracks)
+    std = np.sqrt(np.diagonal(seen.belief.cov, axis1=-2, axis2=-1))
+    return TrackReport(seen.identity, seen.existence, seen.belief.mean, std)
+
+
+def report_of(rows: ArrayLike) -> TrackReport:
+    """Return the tracks of rows (T, 12)."""
+    rows = np.asarray(rows, dtype=np.float64).reshape(-1, REPORT_COLUMNS)
+    identity, existence, mean, std = np.split(rows, (IDENTITY, IDENTITY + 1, IDENTITY + 5), axis=1)
+    return TrackReport(identity.astype(int), existence[:, 0], mean, std)
 
 
 def no_tracks(states: int) -> Tracks:

@@ -16,8 +16,8 @@ import numpy as np
 from concord.bus.bus import Rejected
 from concord.filters.gaussian import Gaussian
 from concord.filters.tracking.tracker import Tracked
-from concord.filters.tracking.tracks import reported
-from concord.nodes.messages import Measured
+from concord.filters.tracking.tracks import Tracks, number_of_targets, report
+from concord.nodes.messages import Measured, ReportedTracks
 from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
 from concord.nodes.rules.labelled_frame import LabelledShare
 from concord.nodes.rules.lane_rule import Failures
@@ -25,6 +25,8 @@ from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 StepRecords = tuple[tuple[int, bytes], ...]
 """(source, record) of a step, sources ascending."""
+_DIGEST_BYTES = 8
+"""Two of 10^5 different digests are equal with a probability of 3e-10."""
 TrackStep = Callable[[Tracked, int, StepRecords], Tracked]
 """Tracks before a step, the step, and its records -> tracks after it."""
 
@@ -49,25 +51,39 @@ class ScanContent(NamedTuple):
     Attributes:
         flooded: the records of the window.
         settled: tracks after the steps that have left the window.
-        used: digest of all records that went into these.
-        reached: tracks after the last step that has ended.
-        evidence: digest of all records that went into those.
+        reached: those after each step of the window that has ended, the oldest first.
     """
 
     flooded: LabelledContent
-    settled: Tracked
-    used: bytes
-    reached: Tracked
+    settled: "Reached"
+    reached: tuple["Reached", ...]
+
+    @property
+    def last(self) -> "Reached":
+        """Tracks after the last step that has ended."""
+        return self.reached[-1] if self.reached else self.settled
+
+
+class Reached(NamedTuple):
+    """Tracks after a step, its records, and a digest of all records up to it."""
+
+    step: int
+    tracked: Tracked
+    records: StepRecords
     evidence: bytes
 
 
 @dataclass(frozen=True)
 class ScanFlooding:
-    """The estimator at one node: `flooding` brings records, `track` makes tracks of them."""
+    """The estimator at one node: `flooding` brings records, `track` makes tracks of them.
+
+    `undetected` targets are expected that no sensor has seen yet.
+    """
 
     flooding: LabelledFlooding
     track: TrackStep
     begin: Tracked
+    undetected: float
 
     @property
     def share_bytes(self) -> int:
@@ -76,7 +92,8 @@ class ScanFlooding:
 
     def start(self) -> ScanContent:
         """No record and no track."""
-        return ScanContent(self.flooding.start(), self.begin, b"", self.begin, b"")
+        before = self.flooding.first_step - 1
+        return ScanContent(self.flooding.start(), Reached(before, self.begin, (), b""), ())
 
     def begin_step(
         self, content: ScanContent, measured: Measured
@@ -116,26 +133,39 @@ class ScanFlooding:
         return (self._tracked(content) if is_end else content), failures
 
     def _tracked(self, content: ScanContent) -> ScanContent:
-        windows, tracked, evidence = content.flooded.windows, content.settled, content.used
+        windows, before = content.flooded.windows, {one.step: one for one in content.reached}
+        newest, found = content.settled, []
         for place in range(windows.first, len(content.flooded.records)):
-            records = tuple(sorted(content.flooded.records[place].items()))
-            tracked = self.track(tracked, windows.step_at(place), records)
-            evidence = _digest(evidence, records)
-            if place == 0:
-                # No record of this step can come any more.
-                content = content._replace(settled=tracked, used=evidence)
-        return content._replace(reached=tracked, evidence=evidence)
+            step, records = windows.step_at(place), content.flooded.records[place]
+            known, held = before.get(step), tuple(sorted(records.items()))
+            if known is None or known.records != held or newest is not before.get(step - 1, newest):
+                tracked = self.track(newest.tracked, step, held)
+                known = Reached(step, tracked, held, _digest(newest.evidence, held))
+            found.append(newest := known)
+        if windows.first == 0:
+            # No record of the oldest step can come any more.
+            return content._replace(settled=found[0], reached=tuple(found[1:]))
+        return content._replace(reached=tuple(found))
 
     def belief(self, content: ScanContent) -> Gaussian:
-        """The number of targets: that of the reported tracks, each there by its existence."""
-        existence = reported(content.reached.tracks).existence
-        return Gaussian(
-            np.array([existence.sum()]), np.array([[(existence * (1 - existence)).sum()]])
-        )
+        """The number of targets."""
+        return number_of_targets(content.last.tracked.tracks, self.undetected)
+
+    def tracks(self, content: ScanContent) -> ReportedTracks:
+        """The tracks that stand for targets."""
+        return reported_tracks(content.last.tracked.tracks, content.last.evidence)
 
     def ages(self, content: ScanContent) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""
         return self.flooding.ages(content.flooded)
+
+
+def reported_tracks(tracks: Tracks, evidence: bytes) -> ReportedTracks:
+    """Return tracks as an estimate tells them; `evidence` is a digest of what went into them."""
+    parts = (*tracks.belief, tracks.existence, tracks.identity, tracks.confirmed)
+    bits = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
+    short = (evidence[:_DIGEST_BYTES].hex(), bits[:_DIGEST_BYTES].hex())
+    return ReportedTracks(report(tracks).rows.tolist(), *short)
 
 
 def _with_flooded(content: ScanContent, flooded: LabelledContent) -> ScanContent:
@@ -145,6 +175,8 @@ def _with_flooded(content: ScanContent, flooded: LabelledContent) -> ScanContent
 
 def _digest(before: bytes, records: StepRecords) -> bytes:
     known = hashlib.sha256(before)
+    # A step without records differs from no step.
+    known.update(b"%d " % len(records))
     for source, record in records:
         known.update(b"%d %d " % (source, len(record)) + record)
     return known.digest()
@@ -164,9 +196,11 @@ class KeptTracks:
 
     def __call__(self, before: Tracked, step: int, records: StepRecords) -> Tracked:
         """Return the tracks after a step."""
-        if step > self._newest:
-            self._newest, oldest = step, step - self._steps
-            self._kept = {key: kept for key, kept in self._kept.items() if key[1] > oldest}
+        oldest = step - self._steps
+        if step > self._newest or step <= self._newest - self._steps:
+            # Much earlier steps are those of another run.
+            self._newest = step
+            self._kept = {k: kept for k, kept in self._kept.items() if oldest < k[1] <= step}
         key = (id(before), step, records)
         if key not in self._kept:
             self._kept[key] = (before, self._track(before, step, records))

@@ -10,7 +10,7 @@ from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
-from concord.nodes.commands import Configure, Inject, Kill, Restart
+from concord.nodes.commands import Configure, Inject, Kill
 from concord.nodes.faults.losses import LinkState, hears_all
 from concord.nodes.lanes.links import Links, Shares, links_of, places
 from concord.nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
@@ -45,8 +45,7 @@ def without_array_form(scenario: Scenario) -> str | None:
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
     if definition.wiring is not None:
-        is_back = any(isinstance(one.command, Restart) for one in script_of(scenario))
-        return "restarts on a measurement bus (--changes)" if is_back else None
+        return definition.wiring.lacking(scenario)
     for held in (scenario, *_set_in(scenario)):
         rule = rule_of(held)
         if (lacking := rule.lacking(held)) is not None:
@@ -153,11 +152,11 @@ def _segments(
 def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> RunSettings:
     """Rule and bus of a setup whose settings are those that stand."""
     wiring = definition_of(setup.scenario).wiring
-    rule = (
-        rule_of(setup.scenario).batched(_batch_context(setup, bus, links, standing))
-        if wiring is None
-        else wiring.batched(setup, bus, links)
-    )
+    if wiring is None:
+        rule = rule_of(setup.scenario).batched(_batch_context(setup, bus, links, standing))
+    else:
+        assert wiring.batched is not None, "without_array_form has refused it"
+        rule = wiring.batched(setup, bus, links)
     return RunSettings(
         standing.first_step,
         standing.first_cycle,

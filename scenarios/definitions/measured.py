@@ -44,6 +44,7 @@ from concord.nodes.rules.measurement_bus import Receiver, ReceiverNode, SensorNo
 from concord.nodes.rules.measurement_codec import MeasurementCodec
 from concord.scenarios.definitions.measurement_runs import estimate, first_received
 from concord.scenarios.definitions.receivers import ReceiverParts, build_receiver, check_receiver
+from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import (
     NetworkWiring,
@@ -121,6 +122,7 @@ def measured_definition(defaults: Scenario, plant_of: PlantOf, score: Score) -> 
             batched=partial(_batched, plant_of),
             names=_NAMES,
             bid_span=BID_SPAN,
+            lacking=_lacking,
         ),
         baseline_filter=partial(_baseline_filter, plant_of),
     )
@@ -191,8 +193,13 @@ def receiver_of(
     return build_receiver(scenario.filter, parts)
 
 
+def _lacking(scenario: Scenario) -> str | None:
+    is_back = any(isinstance(one.command, Restart) for one in script_of(scenario))
+    return "restarts on a measurement bus (--changes)" if is_back else None
+
+
 def _estimator(
-    plant_of: PlantOf, setup: Setup, node: int, bus: Bus, first_step: int
+    plant_of: PlantOf, setup: Setup, node: int, bus: Bus, beginning: Beginning
 ) -> AnyEstimator:
     scenario = setup.scenario
     on_bus = plant_of(scenario)
@@ -201,7 +208,9 @@ def _estimator(
     measuring, codec = bus_of(on_bus, scenario), _codec(on_bus, scenario)
     if node == RECEIVER:
         receiver = receiver_of(on_bus, scenario, prior, losing_bids_of(bus))
-        return ReceiverNode(receiver, held, measuring.silent, codec, on_bus.first_slot, first_step)
+        return ReceiverNode(
+            receiver, held, measuring.silent, codec, on_bus.first_slot, beginning.step
+        )
     return SensorNode(
         states=len(prior.mean),
         neighbours=len(setup.neighbours[node]),

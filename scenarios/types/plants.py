@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal
 
+from concord.plants.scanning import FALSE_ALARM, MOST_CLUTTER
 from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.user.values import FromFile, ValueSource, is_source_name, source_of
 
@@ -28,6 +29,34 @@ class TargetTracking(PlacedSensors, frozen=True, kw_only=True, tag="target-track
 
 class TargetCrossing(PlacedSensors, frozen=True, kw_only=True, tag="target-crossing"):
     """A target on a straight course seen by the same sensors."""
+
+
+class TargetSwarm(PlacedSensors, frozen=True, kw_only=True, tag="target-swarm"):
+    """Several targets that come and go, seen with misses and clutter; detections have no names."""
+
+    # The ground has one target to each square of 70 m at most.
+    targets: Annotated[
+        int, Option("Targets that are there at some time.", at_least=1, at_most=200)
+    ] = 5
+    detection: Annotated[
+        float,
+        Option("Detection probability at 0.71 of the field of view; nearer targets have more.",
+               above=FALSE_ALARM, below=1),
+    ] = 0.9  # fmt: skip
+    clutter: Annotated[
+        float,
+        Option("Expected clutter detections in a scan.", at_least=0, at_most=MOST_CLUTTER),
+    ] = 5.0
+    merge_m: Annotated[
+        float,
+        Option("Detected targets at most so far apart give a single detection; 0 for none.",
+               unit="m", at_least=0),
+    ] = 0.0  # fmt: skip
+    association: Annotated[
+        Literal["jpda", "nearest"],
+        Option("How trackers assign detections: jpda (by joint probabilities) or nearest (the "
+               "best joint hypothesis)."),
+    ] = "jpda"  # fmt: skip
 
 
 class DampedOscillator(SensedPlantChoice, frozen=True, kw_only=True, tag="oscillator"):
@@ -154,6 +183,7 @@ class UserPlant(FromFile, SensedPlantChoice, frozen=True, kw_only=True, tag=USER
 PlantChoice = (
     TargetTracking
     | TargetCrossing
+    | TargetSwarm
     | DampedOscillator
     | RecordedRobots
     | CruiseControl

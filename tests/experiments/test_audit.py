@@ -15,7 +15,7 @@ from concord.experiments.results.folder import ARRAYS, RECORDING, describe, writ
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
-from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.types.frame_formats import frame_format
 from tests.experiments.support import small
 
 pytestmark = pytest.mark.slow

@@ -7,134 +7,178 @@ import msgspec
 import numpy as np
 import pytest
 
-from concord.experiments.tracking.equal_records import bits_of
-from concord.experiments.tracking.swarm_network import START, SwarmNetwork, swarm_network
-from concord.experiments.tracking.swarm_run import run_swarm
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
 from concord.filters.gaussian import Gaussian
+from concord.filters.tracking import tracker
 from concord.filters.tracking.tracker import Tracked
 from concord.filters.tracking.tracks import Tracks
 from concord.nodes.estimator import Rejected
-from concord.nodes.messages import Measured, ShareSent, topic
+from concord.nodes.messages import MalformedMessage, Measured, decode
+from concord.nodes.node_state import NodeConfig
 from concord.nodes.rules.labelled_frame import LabelledShare
-from concord.nodes.tracking.scan_flooding import KeptTracks, ScanContent, ScanFlooding
+from concord.nodes.tracking.scan_flooding import (
+    KeptTracks,
+    Reached,
+    ScanContent,
+    ScanFlooding,
+    reported_tracks,
+)
 from concord.runtime import in_process
+from concord.runtime.drivers import in_memory
 from concord.runtime.recording import MemoryRecorder
-from concord.scenarios.definitions.target_swarm import TargetSwarm
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.definitions.swarm_tracking import START, new_tracker, plant_of
+from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
+from tests.experiments.support import scenario
 
-SMALL = TargetSwarm(nodes=6, targets=3, steps=12, clutter=3, rounds=1, window_steps=4)
-SCARCE = dataclasses.replace(SMALL, occupancy=0.5, loss=0.2)
+SMALL: dict[str, Any] = {
+    "nodes": 6, "targets": 3, "steps": 12, "clutter": 3, "rounds": 1, "window_steps": 4
+}  # fmt: skip
+SCARCE = {**SMALL, "occupancy": 0.5, "loss": 0.2}
 
 
-def network_of(swarm: TargetSwarm, alone: bool = False) -> SwarmNetwork:
-    truth = swarm.truth()
-    return swarm_network(swarm, truth, swarm.scans(truth), swarm.settings(), alone)
+def setup_of(options: dict[str, Any], **others: Any) -> Setup:
+    return prepare(scenario("target-swarm", **{**options, **others}))
 
 
-def estimator_of(swarm: TargetSwarm, node: int = 0) -> ScanFlooding:
-    estimator = network_of(swarm).nodes[node].estimator
+def nodes_of(setup: Setup) -> list[NodeConfig]:
+    return [build_node(setup, node) for node in range(setup.scenario.nodes)]
+
+
+def estimator_of(setup: Setup, node: int = 0) -> ScanFlooding:
+    estimator = build_node(setup, node).estimator
     assert isinstance(estimator, ScanFlooding)
     return estimator
 
 
-def messages_of(swarm: TargetSwarm, seed: int | None = None) -> dict[str, list[Any]]:
-    """The messages of a run by topic; `seed` draws which waiting message is delivered next."""
-    network, recorder = network_of(swarm), MemoryRecorder()
-    picks = np.random.default_rng(seed)
+def alone(setup: Setup) -> list[NodeConfig]:
+    """Nodes that share no result, and read scans and detections in an order of their own."""
+    window = estimator_of(setup).flooding.frames.window_steps
+    found = []
+    for node in nodes_of(setup):
+        arrival = generator(setup.scenario, "arrival", node.index)
+        own = new_tracker(setup.scenario, window, arrival)
+        found.append(
+            dataclasses.replace(node, estimator=dataclasses.replace(node.estimator, track=own))
+        )
+    return found
+
+
+def messages_of(
+    setup: Setup, nodes: list[NodeConfig], seed: int | None = None
+) -> list[tuple[str, bytes]]:
+    """The messages of a run; `seed` draws which waiting message is delivered next."""
+    recorder, picks = MemoryRecorder(), np.random.default_rng(seed)
     in_process.run(
-        network.environment,
-        network.nodes,
+        build_environment(setup),
+        nodes,
         recorder,
         pick=(lambda waiting: 0) if seed is None else (lambda n: int(picks.integers(n))),
-        script=script_of(swarm.network()),
+        script=script_of(setup.scenario),
     )
+    return recorder.messages
+
+
+def trace_of(setup: Setup, nodes: list[NodeConfig] | None = None) -> Trace:
+    return read_trace(setup, in_memory(setup) if nodes is None else messages_of(setup, nodes))
+
+
+def figures_of(setup: Setup, nodes: list[NodeConfig] | None = None) -> TrackingFigures:
+    trace = trace_of(setup, nodes)
+    assert trace.tracks is not None
+    return tracking_figures(setup, trace.tracks, trace.readings)
+
+
+def by_topic(messages: list[tuple[str, bytes]]) -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {}
-    for name, data in recorder.messages:
-        message = data if name.startswith("share/") else msgspec.json.decode(data)
-        found.setdefault(name, []).append(message)
+    for name, data in messages:
+        said = data if name.startswith("share/") else msgspec.json.decode(data)
+        found.setdefault(name, []).append(said)
     return found
 
 
 def test_tracks_are_those_of_the_records_that_a_node_held_last():
     # The oracle keeps all records by step and computes the tracks from the start, once.
-    network = network_of(SCARCE)
-    held: list[dict[int, dict[int, bytes]]] = [{} for _ in network.nodes]
+    setup = setup_of(SCARCE)
+    nodes = nodes_of(setup)
+    held: list[dict[int, dict[int, bytes]]] = [{} for _ in nodes]
     last: dict[int, ScanContent] = {}
 
     def watch(config, event, state) -> None:
         windows, index = state.content.flooded.windows, config.index
         last[index] = state.content
-        for place in range(windows.first, SCARCE.window_steps):
+        for place in range(windows.first, len(state.content.flooded.records)):
             held[index][windows.step_at(place)] = dict(state.content.flooded.records[place])
 
-    in_process.run(network.environment, network.nodes, MemoryRecorder(), watch=watch)
+    # One step at a time, so that the watch sees the end of each.
+    environment = dataclasses.replace(build_environment(setup), lead=1)
+    in_process.run(environment, nodes, MemoryRecorder(), watch=watch)
     late = 0
-    for node, config in enumerate(network.nodes):
+    for node, config in enumerate(nodes):
         estimator, tracked = config.estimator, START
         assert isinstance(estimator, ScanFlooding)
-        for step in range(SCARCE.steps):
+        for step in range(setup.scenario.steps):
             records = held[node][step]
-            late += 0 < len(records) < SCARCE.nodes
+            late += 0 < len(records) < setup.scenario.nodes
             tracked = estimator.track(tracked, step, tuple(sorted(records.items())))
-        assert bits_of(tracked) == bits_of(last[node].reached)
+        assert reported_tracks(tracked.tracks, b"").bits == estimator.tracks(last[node]).bits
         assert len(tracked.tracks.existence) > 0
     assert late > 10
 
 
 def test_the_order_of_delivery_changes_no_message():
-    usual = messages_of(SCARCE)
+    setup = setup_of(SCARCE)
+    usual = by_topic(messages_of(setup, nodes_of(setup)))
     for seed in range(2):
-        assert messages_of(SCARCE, seed) == usual
+        assert by_topic(messages_of(setup, nodes_of(setup), seed)) == usual
 
 
 def test_nodes_with_equal_records_have_equal_bits_though_each_computes_alone():
-    alone, shared = run_swarm(SCARCE, alone=True), run_swarm(SCARCE)
-    assert msgspec.structs.replace(alone, compared=None) == shared
-    plenty = run_swarm(dataclasses.replace(SMALL, rounds=4), alone=True)
-    assert plenty.compared is not None
-    assert plenty.compared.pairs > 100 and plenty.compared.different == 0
+    scarce, plenty = setup_of(SCARCE), setup_of(SMALL, rounds=4)
+    assert figures_of(scarce, alone(scarce)) == figures_of(scarce)
+    found = figures_of(plenty, alone(plenty))
+    assert found.equal_records > 100 and found.differing == 0
+
+
+def test_a_tracker_that_keeps_the_order_of_arrival_is_found_out(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tracker, "in_order", lambda detections: detections)
+    setup = setup_of(SMALL, rounds=4)
+    assert figures_of(setup, alone(setup)).differing > 0
 
 
 @pytest.mark.parametrize("bus", ["flexray", "plca", "can-fd", "ideal"])
 def test_every_bus_carries_scans(bus: str):
-    full = run_swarm(dataclasses.replace(SMALL, bus=bus, rounds=4, steps=8))
-    assert full.held == full.alike == 1
-    scarce = run_swarm(dataclasses.replace(SMALL, bus=bus, occupancy=0.34, steps=8))
-    assert scarce.held < 0.9
+    full = trace_of(setup_of(SMALL, bus=bus, rounds=4, steps=8))
+    scarce = trace_of(setup_of(SMALL, bus=bus, occupancy=0.34, steps=8))
+    assert full.tracks is not None and scarce.tracks is not None
+    digests = full.tracks.digest_numbers()
+    assert (digests == digests[:, :1]).all()
+    digests = scarce.tracks.digest_numbers()
+    assert (digests != digests[:, :1]).any()
     # Two nodes of six publish in the one cycle of a step, in frames of their own.
-    sending = scarce.frames / full.frames
-    assert sending < 0.2 and scarce.bytes < 0.5 * full.bytes
-    assert (full.bus_time > 0) == (bus != "ideal")
-
-
-def test_bytes_are_those_of_the_frames_that_were_sent():
-    run, messages = run_swarm(SMALL), messages_of(SMALL)
-    frames = [
-        frame for name, sent in messages.items() if name.startswith("share/") for frame in sent
-    ]
-    assert topic(ShareSent(3, 0, b"")) == "share/3"
-    assert run.frames == len(frames) / SMALL.steps == SMALL.nodes
-    assert run.bytes == sum(map(len, frames)) / SMALL.steps
+    assert 4 * scarce.published.sum() < full.published.sum()
 
 
 def test_a_dead_node_is_no_longer_scored_and_a_returned_one_tracks_again():
-    killed = dataclasses.replace(SMALL, rounds=3, changes=("4 kill 2",))
-    back = dataclasses.replace(killed, changes=("4 kill 2", "7 restart 2"))
-    assert len(messages_of(killed)["estimate/2"]) == 4
-    told = messages_of(back)["estimate/2"]
-    assert [one["step"] for one in told] == [0, 1, 2, 3, *range(7, 12)]
-    assert told[-1]["mean"][0] > 0.5
-    # From step 7 on, all four steps of the window lack its scan: 1 in 6.
-    run = run_swarm(killed)
-    parts = [1, 1, 1, 1, *(1 - min(step - 3, 4) / 4 / 6 for step in range(4, 12))]
-    nodes = [6] * 4 + [5] * 8
-    assert run.held == pytest.approx(np.average(parts, weights=nodes))
-    assert run.nodes.gospa_m < 1.3 * run.centre.gospa_m
+    killed = setup_of(SMALL, rounds=3, changes=("4 kill 2",))
+    back = setup_of(SMALL, rounds=3, changes=("4 kill 2", "7 restart 2"))
+    assert len(by_topic(messages_of(killed, nodes_of(killed)))["estimate/2"]) == 4
+    trace = trace_of(back)
+    assert trace.tracks is not None
+    assert trace.tracks.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
+    assert trace.mean[-1, 2, 0] > 0.5
+    found = figures_of(killed)
+    assert found.network.gospa_m < 1.3 * found.centre.gospa_m
 
 
 def test_an_empty_scan_lowers_the_existence_and_a_missing_one_does_not():
-    estimator = estimator_of(SMALL)
-    place = SMALL.positions()[1] + 50
+    setup = setup_of(SMALL)
+    estimator = estimator_of(setup)
+    place = plant_of(setup.scenario).positions(0)[1] + 50
     tracks = Tracks(
         Gaussian(np.array([[place[0], 0, place[1], 0]]), np.eye(4)[None]),
         np.array([0.9]),
@@ -149,35 +193,37 @@ def test_an_empty_scan_lowers_the_existence_and_a_missing_one_does_not():
 
 @pytest.mark.slow
 def test_scans_that_a_record_does_not_hold_are_shortened_and_counted():
-    crowded = dataclasses.replace(SMALL, clutter=90, payload_bytes=98, rounds=3, steps=6)
-    run = run_swarm(crowded)
-    assert run.shortened == crowded.nodes * crowded.steps
-    assert run_swarm(dataclasses.replace(crowded, clutter=20)).shortened == 0
+    crowded = {**SMALL, "payload_bytes": 98, "rounds": 3, "steps": 6}
+    counters = trace_of(setup_of(crowded, clutter=90)).counters
+    assert [one["record-range"] for one in counters] == [6] * 6
+    assert not any("record-range" in one for one in trace_of(setup_of(crowded)).counters)
 
 
 def test_a_share_with_a_checkpoint_is_rejected():
-    estimator = estimator_of(SMALL)
+    estimator = estimator_of(setup_of(SMALL))
     belief = Gaussian(np.zeros(1), np.eye(1))
     share = LabelledShare(False, belief, (), ())
     with pytest.raises(Rejected, match="labelled-checkpoint"):
         estimator.accept(estimator.flooding.frames.encode(share))
 
 
-def test_the_estimate_is_the_number_of_targets():
-    estimator = estimator_of(SMALL)
-    content = estimator.start()
+def test_the_belief_is_the_number_of_targets_and_the_tracks_are_those_confirmed():
+    estimator = estimator_of(setup_of(SMALL))
     tracks = START.tracks._replace(
         belief=Gaussian(np.zeros((3, 4)), np.stack([np.eye(4)] * 3)),
         existence=np.array([0.8, 0.9, 0.4]),
         identity=np.zeros((3, 3), dtype=int),
-        confirmed=np.array([True, True, True]),
+        confirmed=np.array([True, False, True]),
     )
-    mean, cov = estimator.belief(content._replace(reached=Tracked(tracks, 0)))
-    assert mean == pytest.approx([1.7]) and cov.ravel() == pytest.approx([0.8 * 0.2 + 0.9 * 0.1])
+    content = estimator.start()._replace(reached=(Reached(0, Tracked(tracks, 0), (), b""),))
+    mean, cov = estimator.belief(content)
+    assert mean == pytest.approx([2.1 + 0.1])
+    assert cov.ravel() == pytest.approx([0.8 * 0.2 + 0.9 * 0.1 + 0.4 * 0.6 + 0.1])
+    assert [row[3] for row in estimator.tracks(content).rows] == [0.8]
 
 
 def test_a_node_without_readings_sends_no_record():
-    estimator = estimator_of(SMALL)
+    estimator = estimator_of(setup_of(SMALL))
     nothing = Measured(0, 0, [[None, None]] * 4)
     content, _ = estimator.begin_step(estimator.start(), nothing)
     assert estimator.bid(content) is None
@@ -198,3 +244,13 @@ def test_results_are_kept_for_equal_tracks_and_records_alone():
     kept(START, 2, ())
     kept(START, 0, ((1, b"a"),))
     assert asked == [0, 0, 0, 2, 0]
+
+
+def test_a_message_with_a_broken_track_is_refused():
+    setup = setup_of(SMALL, steps=3)
+    said = by_topic(messages_of(setup, nodes_of(setup)))["estimate/0"][-1]
+    said["tracks"]["rows"] = [[1.0] * 12]
+    assert decode("estimate/0", msgspec.json.encode(said)).tracks is not None
+    said["tracks"]["rows"] = [[1.0] * 11]
+    with pytest.raises(MalformedMessage, match="length >= 12"):
+        decode("estimate/0", msgspec.json.encode(said))

@@ -1,0 +1,83 @@
+"""The tracks of a run as its recording tells them, and those of baselines."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.experiments.tracking.track_log import TrackLog
+from concord.filters.tracking.tracks import report, report_of
+from concord.nodes.messages import Estimate
+from concord.plants.scanned_swarm import paths_of
+from concord.scenarios.definitions.swarm_tracking import tracked_alone
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import TargetSwarm
+
+
+class TracksTrace(NamedTuple):
+    """Tracks of the nodes of a run.
+
+    Attributes:
+        paths: states (steps, K, 4) of the targets, NaN where one is not there.
+        logs: the tracks of each node.
+        digests: (records used, all numbers of the tracks) by (step, node), where nodes say them.
+    """
+
+    paths: np.ndarray
+    logs: tuple[TrackLog, ...]
+    digests: Mapping[tuple[int, int], tuple[str, str]]
+
+    def distances(self) -> np.ndarray:
+        """GOSPA in m (steps, N), NaN while a node was out."""
+        return np.stack([log.distances(len(self.paths)) for log in self.logs], axis=1)
+
+    def digest_numbers(self) -> np.ndarray:
+        """The digests as numbers (steps, N, 2), 0 where there is none."""
+        found = np.zeros((len(self.paths), len(self.logs), 2), dtype=np.uint64)
+        for place, digests in self.digests.items():
+            found[place] = [int(one or "0", 16) for one in digests]
+        return found
+
+
+def tracks_trace(
+    setup: Setup, states: np.ndarray, estimates: Mapping[tuple[int, int], Estimate]
+) -> TracksTrace | None:
+    """Return the tracks in estimates by (step, node), beside the plant's states (steps, ...).
+
+    None where the scenario has a single target.
+    """
+    if not isinstance(setup.scenario.plant, TargetSwarm):
+        return None
+    paths, digests = paths_of(states), {}
+    logs = tuple(TrackLog() for _ in range(setup.scenario.nodes))
+    for step, truth in enumerate(paths):
+        for node, log in enumerate(logs):
+            said = estimates.get((step, node))
+            if said is not None and said.tracks is not None:
+                log.add(step, truth, report_of(said.tracks.rows))
+                digests[step, node] = said.tracks.records, said.tracks.bits
+    return TracksTrace(paths, logs, digests)
+
+
+def log_alone(
+    setup: Setup, nodes: Sequence[int], readings: np.ndarray, paths: np.ndarray
+) -> TrackLog:
+    """The tracks of one tracker that has all scans (steps, N, 1 + D, 2) of these nodes."""
+    log = TrackLog()
+    for step, tracked in enumerate(tracked_alone(setup.scenario, nodes, readings)):
+        log.add(step, paths[step], report(tracked.tracks))
+    return log
+
+
+def distances_of_centre(setup: Setup, tracks: TracksTrace, readings: np.ndarray) -> np.ndarray:
+    """GOSPA in m (steps,) of one tracker that has all scans (steps, N, 1 + D, 2)."""
+    everybody = range(setup.scenario.nodes)
+    return log_alone(setup, everybody, readings, tracks.paths).distances(len(tracks.paths))
+
+
+def distances_alone(setup: Setup, tracks: TracksTrace, readings: np.ndarray) -> np.ndarray:
+    """GOSPA in m (steps, N) of trackers that have the scans (steps, N, 1 + D, 2) of one node."""
+    logs = (
+        log_alone(setup, [node], readings, tracks.paths) for node in range(setup.scenario.nodes)
+    )
+    return np.stack([log.distances(len(tracks.paths)) for log in logs], axis=1)

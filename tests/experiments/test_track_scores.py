@@ -1,0 +1,158 @@
+"""Test the scores of `target-swarm` in `concord run`, its run.nc and its sweeps."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from concord.experiments.results.trace import read_trace
+from concord.experiments.tracking.track_log import TrackLog
+from concord.filters.tracking.scores import gospa
+from concord.filters.tracking.tracks import no_tracks, report
+from concord.plants.scanned_swarm import paths_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.definitions.swarm_tracking import plant_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.streams import generator
+from tests.experiments.flexray_support import concord, refused
+from tests.experiments.support import scenario
+from tests.filters.tracking.position_sensor import tracks_at
+
+SMALL = ("--scenario", "target-swarm", "--nodes", "8", "--targets", "4", "--steps", "20",
+         "--clutter", "3")  # fmt: skip
+SWARM = ("run", "--scenario", "target-swarm")
+
+
+def figures(capsys: pytest.CaptureFixture[str], folder: Path, *words: str) -> dict:
+    return json.loads(concord(capsys, "run", *SMALL, *words, "-o", str(folder), "--json").out)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--detection", "1"), "--detection 1.0: must be in (0.001, 1)"),
+        (("--clutter", "-1"), "--clutter -1.0: must be"),
+        (("--targets", "100000"), "--targets 100000: must be 1 to 200"),
+        (("--targets", "0"), "--targets 0: must be 1 to 200"),
+        (("--merge-m", "-1"), "--merge-m -1.0: must be 0 or more"),
+        (("--association", "nearst"), "nearst"),
+        (("--payload-bytes", "16", "--loss", "0.1"), "raise --payload-bytes"),
+        (("--rule", "hcmci"), "--rule hcmci: must be labelled"),
+        (("--filter", "ekf"), "--filter ekf: must be ukf"),
+        (("--withhold-below", "0.1"), "--withhold-below 0.1: must be 0: a record is a scan"),
+        (("--record-number", "float32"), "--record-number float32: must be int16"),
+        (("--changes", "5 set rounds=2"), "target-swarm has one rule and schedule of its own"),
+        (("--nodes", "2", "--placement", "-1"), "placement -1: must be 0 or more"),
+    ],
+)
+def test_bad_input_is_refused(
+    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+):
+    assert says in refused(concord(capsys, *SWARM, *words))
+
+
+def test_nodes_with_all_scans_are_as_good_as_the_centre_but_for_rounding(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    full = figures(capsys, tmp_path / "full")
+    tracking = full["tracking"]
+    assert tracking["alike"] == 1 and tracking["differing"] == 0
+    assert tracking["equal_records"] == 20 * 28
+    assert tracking["network"]["gospa_m"] == pytest.approx(tracking["centre"]["gospa_m"], rel=0.1)
+    assert full["worst_node_to_centralised"] == pytest.approx(1, abs=0.1)
+    lossy = figures(capsys, tmp_path / "lossy", "--rounds", "1", "--loss", "0.5")
+    # The centre does not depend on the network.
+    assert lossy["tracking"]["centre"] == tracking["centre"]
+    assert lossy["rmse_centralised"] == full["rmse_centralised"]
+    assert lossy["tracking"]["alike"] < 0.5 and lossy["rmse"] > 1.05 * full["rmse"]
+    nearest = figures(capsys, tmp_path / "nearest", "--association", "nearest")
+    assert nearest["tracking"]["centre"] != tracking["centre"]
+
+
+def test_the_file_of_a_run_gives_its_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ("--occupancy", "0.5", "--rounds", "1")
+    printed = figures(capsys, tmp_path / "kept", *words)
+    with xarray.open_dataset(tmp_path / "kept" / "run.nc", decode_times=False) as file:
+        found = file.load()
+    assert found.row_size.sum() == found.sizes["obs"] and (found.row_size > 0).all()
+    assert len({*found.trajectory.values.tolist()}) == found.sizes["trajectory_number"]
+    tracker = np.repeat(found.tracker.values, found.row_size.values)
+    places = np.stack((found.track_x.values, found.track_y.values), axis=-1)
+    asked = scenario("target-swarm", nodes=8, targets=4, steps=20, clutter=3)
+    draws = plant_of(asked).draw(lambda *who: generator(asked, *who), 20)
+    truth = paths_of(np.concatenate((draws.initial[None], draws.process[:-1])))
+    for target in range(4):
+        (number,) = np.flatnonzero(
+            (found.tracker.values == -2) & (found.identity.values[:, 0] == target)
+        )
+        end = int(found.row_size.values[: number + 1].sum())
+        rows = slice(end - int(found.row_size.values[number]), end)
+        there = np.isfinite(truth[:, target, 0])
+        np.testing.assert_array_equal(found.track_step.values[rows], np.flatnonzero(there))
+        np.testing.assert_array_equal(places[rows], truth[there, target, ::2])
+    distances = np.array(
+        [
+            [
+                gospa(
+                    truth[step][np.isfinite(truth[step, :, 0])][:, ::2],
+                    places[(tracker == number) & (found.track_step.values == step)],
+                    50,
+                ).distance
+                for step in range(20)
+            ]
+            for number in range(-1, 8)
+        ]
+    )
+    np.testing.assert_allclose(found.gospa.values, distances[1:].T)
+    assert distances[0].mean() == pytest.approx(printed["tracking"]["centre"]["gospa_m"])
+    assert np.sqrt((distances[0] ** 2).mean()) == pytest.approx(printed["rmse_centralised"])
+    assert np.sqrt((distances[1:] ** 2).mean()) == pytest.approx(printed["rmse"])
+
+
+def test_a_sweep_scores_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "s.nc"
+    words = ("--occupancy", "1,0.25", "--rounds", "1", "--runs", "2", "--workers", "1")
+    concord(capsys, "sweep", *SMALL, *words, "-o", str(out))
+    with xarray.open_dataset(out) as file:
+        found = file.load()
+    assert found.rmse.attrs["units"] == "m"
+    one = figures(capsys, tmp_path / "run", "--occupancy", "0.25", "--rounds", "1", "--run", "1")
+    cell = found.sel(occupancy=0.25, run=1)
+    assert float(cell.rmse) == pytest.approx(one["rmse"])
+    assert float(cell.rmse_centralised) == pytest.approx(one["rmse_centralised"])
+    for name, field in (("missed_targets", "missed"), ("steps_to_confirm", "steps_to_confirm")):
+        assert float(cell[name]) == pytest.approx(one["tracking"]["network"][field])
+        assert float(cell[f"{name}_centralised"]) == pytest.approx(one["tracking"]["centre"][field])
+
+
+def test_a_single_node_is_a_network():
+    setup = prepare(scenario("target-swarm", nodes=1, steps=5))
+    trace = read_trace(setup, in_memory(setup))
+    assert trace.tracks is not None and trace.steps == 5
+
+
+def test_scores_of_a_run_by_hand():
+    log = TrackLog()
+    truth = np.full((3, 2, 4), np.nan)
+    truth[0, 0] = truth[1, 0] = truth[2, 0] = [0, 0, 0, 0]
+    truth[1, 1] = truth[2, 1] = [200, 0, 0, 0]
+    far, both = np.array([[3.0, 0, 4, 0], [500, 0, 0, 0]]), np.array([[210.0, 0, 0, 0], [0] * 4])
+    log.add(0, truth[0], report(no_tracks(4)))  # missed
+    log.add(1, truth[1], report(tracks_at(far)))  # missed and false
+    log.add(2, truth[2], report(tracks_at(both)))  # switched
+    scores = log.scores()
+    assert scores.missed == pytest.approx(2 / 3) and scores.false == pytest.approx(1 / 3)
+    assert scores.localisation_m == pytest.approx(math.sqrt((25 + 100) / 3))
+    penalty = 50**2 / 2
+    distances = [math.sqrt(penalty), math.sqrt(25 + 2 * penalty), 10]
+    assert scores.gospa_m == pytest.approx(np.mean(distances))
+    assert log.distances(4)[:3] == pytest.approx(distances) and np.isnan(log.distances(4)[3])
+    assert scores.ospa_m == pytest.approx(
+        np.mean([50, math.sqrt((25 + 2500) / 2), math.sqrt(100 / 2)])
+    )
+    assert scores.cardinality_error == pytest.approx(1 / 3)
+    assert scores.identity_switches == 1
+    assert scores.steps_to_confirm == 1
