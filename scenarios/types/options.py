@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     GRAPH = str | networkx.Graph | np.ndarray
 else:
     GRAPH = object
+ASSOCIATION = Literal["jpda", "nearest"]
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
 ARRIVAL = Literal["stamped", "late"]
 NUMBER = Literal["float64", "float32", "float16"]
@@ -33,6 +34,11 @@ class ScenarioOptions(TypedDict, total=False):
     """One value of each option."""
 
     placement: PLACEMENT
+    targets: int
+    detection: float
+    clutter: float
+    merge_m: float
+    association: ASSOCIATION
     target: int
     data: str | None
     control: str
@@ -105,6 +111,11 @@ class SweptOptions(TypedDict, total=False):
     """One value of each option, or several."""
 
     placement: Sequence[PLACEMENT] | np.ndarray | PLACEMENT
+    targets: Sequence[int] | np.ndarray | int
+    detection: Sequence[float] | np.ndarray | float
+    clutter: Sequence[float] | np.ndarray | float
+    merge_m: Sequence[float] | np.ndarray | float
+    association: Sequence[ASSOCIATION] | np.ndarray | ASSOCIATION
     target: Sequence[int] | np.ndarray | int
     data: Sequence[str | None] | np.ndarray | str | None
     control: Sequence[str] | np.ndarray | str

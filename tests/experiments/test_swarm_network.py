@@ -60,6 +60,7 @@ def alone(setup: Setup) -> list[NodeConfig]:
     window = estimator_of(setup).flooding.frames.window_steps
     found = []
     for node in nodes_of(setup):
+        assert isinstance(node.estimator, ScanFlooding)
         arrival = generator(setup.scenario, "arrival", node.index)
         own = new_tracker(setup.scenario, window, arrival)
         found.append(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from concord.scenarios.streams import generator
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
 from tests.filters.tracking.position_sensor import tracks_at
+from tests.pages import blocks, commands
 
 SMALL = ("--scenario", "target-swarm", "--nodes", "8", "--targets", "4", "--steps", "20",
          "--clutter", "3")  # fmt: skip
@@ -126,6 +128,27 @@ def test_a_sweep_scores_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str
     for name, field in (("missed_targets", "missed"), ("steps_to_confirm", "steps_to_confirm")):
         assert float(cell[name]) == pytest.approx(one["tracking"]["network"][field])
         assert float(cell[f"{name}_centralised"]) == pytest.approx(one["tracking"]["centre"][field])
+
+
+def test_the_page_reads_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    page = (Path(__file__).parents[2] / "docs" / "targets.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    for command in commands(page):
+        if not command.startswith("concord agree"):
+            concord(capsys, *command.split()[1:])
+    (program,) = blocks(page, "python")
+    exec(compile(program, "docs/targets.md", "exec"), {})
+    told = capsys.readouterr().out.splitlines()
+    assert told and all(re.fullmatch(r"3/\d+-\d+-\d+: steps \d+ to \d+", one) for one in told)
+
+
+@pytest.mark.zenoh
+def test_the_drivers_agree_as_the_page_says(capsys: pytest.CaptureFixture[str]):
+    page = (Path(__file__).parents[2] / "docs" / "targets.md").read_text()
+    (command,) = (one for one in commands(page) if one.startswith("concord agree"))
+    assert "in-process = processes, bit for bit" in concord(capsys, *command.split()[1:]).out
 
 
 def test_a_single_node_is_a_network():
