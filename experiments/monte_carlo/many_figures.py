@@ -14,7 +14,7 @@ from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed
 from concord.experiments.results.innovations.figures import InnovationFigures
 from concord.experiments.results.innovations.of_run import judged
 from concord.experiments.results.trace import Past
-from concord.experiments.tracking.tracks_trace import distances_alone, distances_of_centre
+from concord.experiments.tracking.tracks_trace import errors_of_tracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
@@ -223,17 +223,14 @@ def _of_tracks(
     histories: Histories, counted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """GOSPA (R, S, N, 1) of nodes and of each alone, (R, S, 1) of one tracker with all scans."""
-    assert histories.readings is not None, "the caller has looked"
+    readings = histories.readings
+    assert readings is not None, "the caller has looked"
     runs = [
-        (histories.setup, *one) for one in zip(histories.tracks, histories.readings, strict=True)
+        errors_of_tracks(histories.setup, *one)
+        for one in zip(histories.tracks, readings, strict=True)
     ]
-    found = (
-        np.stack([tracks.distances() for _, tracks, _ in runs]),
-        np.stack([distances_alone(*one) for one in runs]),
-        np.stack([distances_of_centre(*one) for one in runs]),
-    )
-    of_nodes, of_alone, of_central = (_where(counted, one)[..., None] for one in found)
-    return of_nodes, of_alone, of_central
+    nodes, alone, centre = (np.stack(parts) for parts in zip(*runs, strict=True))
+    return _where(counted, nodes), _where(counted, alone), _where(counted, centre)
 
 
 def _where(counted: np.ndarray, values: np.ndarray) -> np.ndarray:

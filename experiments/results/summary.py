@@ -25,12 +25,13 @@ from concord.experiments.results.innovations.of_run import (
 )
 from concord.experiments.results.record_spread import SpreadFigures
 from concord.experiments.results.run_verdict import anees_interval, verdict, worst_in_words
+from concord.experiments.results.scored_steps import first_scored, near_steps, state_errors
 from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
 from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
 from concord.experiments.tracking.tracking_figures import lines as tracking_lines
-from concord.experiments.tracking.tracks_trace import distances_alone, distances_of_centre
+from concord.experiments.tracking.tracks_trace import errors_of_tracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import disagreement, largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised, local_only
@@ -119,23 +120,16 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     `found` are its innovations, which are computed where they are not given.
     """
     score = definition_of(setup.scenario).score
-    first = _first_scored(score, trace)
+    first = first_scored(score, trace)
     found = found or run_innovations(setup, trace)
     alone = local_only(setup, trace.readings, trace.control)
     central = _centralised(setup, trace, found)
     network = Gaussian(trace.mean, trace.cov)
-    of_node, of_alone, of_central = (
-        _errors(one.mean, trace.truth, score, first) for one in (network, alone, central)
-    )
-    if trace.tracks is not None:
-        several = setup, trace.tracks, trace.readings
-        of_node = trace.tracks.distances()[first:, :, None]
-        of_alone = distances_alone(*several)[first:, :, None]
-        of_central = distances_of_centre(*several)[first:, None]
+    of_node, of_alone, of_central = _errors_of(setup, trace, (network, alone, central), first)
     per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
     who = _believers(network)
     central_rmse = float(rmse(of_central, (0,)))
-    near = _near(score, trace, setup.time_step_s)[first:]
+    near = near_steps(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(setup, network, trace, first, (0,))
     set_valued, counters = is_set_valued(setup.scenario), trace.counters
     contained = partial(_contained, trace) if set_valued else lambda _: None
@@ -153,10 +147,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
-        # No average of sets of tracks is defined, from which they could differ.
-        disagreement=np.nan
-        if trace.tracks
-        else disagreement(network.mean[first:, who][..., list(score.states)]),
+        disagreement=_disagreement(network.mean[first:, who], trace, score),
         anees=_unless(set_valued, _consistency(setup, network, trace, first, (0, 1))),
         anees_centralised=_unless(set_valued, _consistency(setup, central, trace, first, (0,))),
         near_s=score.near_s,
@@ -240,27 +231,19 @@ def _contained(trace: Trace, who: int | slice | np.ndarray) -> Containment | Non
     return containment(Gaussian(mean, cov), trace.truth, np.array(present)[:, who])
 
 
-def _first_scored(score: Score, trace: Trace) -> int:
-    """The step from which errors count: the scenario's, but not before the first reading."""
-    seen = ~np.isnan(trace.readings).all((1, 2, 3))
-    first_seen = int(np.argmax(seen)) if seen.any() else 0
-    return min(max(score.first_step, first_seen), trace.steps - 1)
+def _errors_of(
+    setup: Setup, trace: Trace, beliefs: Sequence[Gaussian], first: int
+) -> tuple[np.ndarray, ...]:
+    """Errors of the network, of each node alone, and of the centralised filter."""
+    if trace.tracks is not None:
+        return tuple(one[first:] for one in errors_of_tracks(setup, trace.tracks, trace.readings))
+    score = definition_of(setup.scenario).score
+    return tuple(state_errors(one.mean, trace.truth, score, first) for one in beliefs)
 
 
-def _near(score: Score, trace: Trace, time_step_s: float) -> np.ndarray:
-    """Which steps (steps,) are at most `near_s` after a reading by any node."""
-    if score.near_s is None:
-        return np.ones(trace.steps, dtype=bool)
-    seen = ~np.isnan(trace.readings).all((1, 2, 3))
-    reach = round(score.near_s / time_step_s)
-    return np.convolve(seen, np.ones(reach + 1))[: trace.steps] > 0.5
-
-
-def _errors(mean: np.ndarray, truth: np.ndarray, score: Score, first: int) -> np.ndarray:
-    """Errors (steps, ..., m) of the scored states of mean (steps, ..., n)."""
-    states = list(score.states)
-    known = truth[first:][:, states]
-    return mean[first:][..., states] - known.reshape(len(known), *(1,) * (mean.ndim - 2), -1)
+def _disagreement(mean: np.ndarray, trace: Trace, score: Score) -> float:
+    # No average of sets of tracks is defined, from which they could differ.
+    return np.nan if trace.tracks else disagreement(mean[..., list(score.states)])
 
 
 def _consistency(
@@ -268,7 +251,7 @@ def _consistency(
 ) -> np.ndarray:
     score = definition_of(setup.scenario).score
     every = score._replace(states=tuple(range(belief.mean.shape[-1])))
-    errors = _errors(belief.mean, trace.truth, every, first)
+    errors = state_errors(belief.mean, trace.truth, every, first)
     values = scored_nees(setup.scenario, errors, belief.cov[first:])
     return mean_of_known(values, axes) / len(score.nees_states)
 
