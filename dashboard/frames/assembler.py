@@ -68,7 +68,9 @@ class Assembler:
         if self._last is not None and step.number > self._last + 1:
             self._leave_out(step.number - self._last - 1)
         self._last = step.number
-        return self._drawn(step.number, from_wire(told.truth.state), told)
+        # A plant may have more states than a belief, which come after these.
+        truth = from_wire(told.truth.state)[: len(self._stage.state_names)]
+        return self._drawn(step.number, truth, told)
 
     def _leave_out(self, steps: int) -> None:
         """Let so many steps pass of which nothing was heard."""

@@ -20,6 +20,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import TargetSwarm
 
 SCENE_WIDTH = 20.0
 """Width of the drawn network in units of the scene, whatever it measures in metres."""
@@ -108,10 +109,11 @@ def set_stage(setup: Setup) -> Stage:
     plant = definition.plant(setup.scenario)
     places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
-    if places is not None:
+    several = isinstance(setup.scenario.plant, TargetSwarm)
+    if places is not None and not several:
         picture, positions = PlantDrawing.PLANE, lambda step: np.asarray(plant.positions(step))
     else:
-        layout = _laid_out(setup.neighbours)
+        layout = _laid_out(setup.neighbours) if places is None else places
         track = set(_CAR_STATES) <= set(plant.state_names)
         picture, positions = PlantDrawing.TRACK if track else PlantDrawing.GRAPH, lambda _: layout
     links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
@@ -124,7 +126,8 @@ def set_stage(setup: Setup) -> Stage:
         state_units=tuple(plant.state_units),
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
         heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
-        score=definition.score,
+        # Errors of several targets need their tracks; the page shows those of their number.
+        score=definition.score._replace(unit="targets") if several else definition.score,
         set_valued=is_set_valued(setup.scenario),
         picture=picture,
         place=tuple(definition.score.states[:2]) if picture is PlantDrawing.PLANE else (),

@@ -209,3 +209,13 @@ def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
 def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
     stage, messages = run_of(name, steps=6, **changes)
     assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))
+
+
+def test_the_page_of_several_targets_shows_their_number():
+    stage, messages = run_of("target-swarm", nodes=4, targets=2, steps=5, rounds=2)
+    trace = read_trace(stage.setup, messages)
+    frames = frames_of(stage, messages)
+    assert (stage.score.unit, stage.place) == ("targets", ())
+    assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
+    off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
+    np.testing.assert_allclose([frame.scores.error for frame in frames], off)
