@@ -162,8 +162,8 @@ class ScanFlooding:
 
 def reported_tracks(tracks: Tracks, evidence: bytes) -> ReportedTracks:
     """Return tracks as an estimate tells them; `evidence` is a digest of what went into them."""
-    parts = (*tracks.belief, tracks.existence, tracks.identity, tracks.confirmed)
-    bits = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
+    every = (*tracks.belief, tracks.existence, tracks.identity, tracks.confirmed)
+    bits = hashlib.sha256(b"".join(one.tobytes() for one in every)).digest()
     short = (evidence[:_DIGEST_BYTES].hex(), bits[:_DIGEST_BYTES].hex())
     return ReportedTracks(report(tracks).rows.tolist(), *short)
 
