@@ -19,8 +19,9 @@ from concord.runtime.batched.build import without_array_form
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 
-# Estimates of a piece that are in memory at once: nodes x runs x steps.
-LARGEST = 500_000
+# Estimates of a piece that are in memory at once: nodes x runs x steps. The filter that hears
+# everything has a lane for each run alone, so that small pieces spend their time in numpy's calls.
+LARGEST = 1_000_000
 # The same where messages are passed one by one, which takes a hundred times as long.
 LARGEST_OF_MESSAGES = 10_000
 # Figures that a piece reduces to moments, by what the sweep keeps.
