@@ -1,10 +1,12 @@
 """Sweeps on clusters: the files of `deploy/` for shards, and Dask with TLS and with losses."""
 
 import datetime
+import json
 import os
 import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -79,6 +81,56 @@ def test_the_job_of_kubernetes_is_valid_and_computes_shards(
     short = ["--nodes", "3", "--steps", "8", "--seed", "1..10"]
     main([*words, *short])
     assert len([*(tmp_path / "shard10.nc.pieces").glob("*.npz")]) == 1
+
+
+@pytest.mark.slow
+def test_the_dask_cluster_of_kubernetes_is_valid_and_computes_a_sweep(tmp_path: Path):
+    distributed = pytest.importorskip("distributed")
+    validator = pytest.importorskip("kubernetes_validate", reason="of the development group")
+    yaml = pytest.importorskip("yaml", reason="comes with kubernetes-validate")
+    cluster = yaml.safe_load((DEPLOY / "dask-kubernetes.yaml").read_text())
+    scheduler, worker = (cluster["spec"][name] for name in ("scheduler", "worker"))
+    head = {"apiVersion": "v1", "metadata": {"name": "one"}}
+    for kind, spec in (("Pod", scheduler["spec"]), ("Pod", worker["spec"]),
+                       ("Service", scheduler["service"])):  # fmt: skip
+        validator.validate({**head, "kind": kind, "spec": spec}, "1.33", strict=True)
+    selector = scheduler["service"]["selector"]
+    assert selector["dask.org/cluster-name"] == cluster["metadata"]["name"]
+    place = tmp_path / "scheduler.json"
+    first, second = (pod["spec"]["containers"][0]["args"] for pod in (scheduler, worker))
+    free = ["--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
+    processes = [_started([*first, *free, "--scheduler-file", str(place)], {})]
+    try:
+        address = _address_in(place)
+        own = ["one" if word == "$(DASK_WORKER_NAME)" else word for word in second]
+        own[own.index("/tmp")] = str(tmp_path)
+        processes.append(_started(own, {"DASK_SCHEDULER_ADDRESS": address}))
+        with distributed.Client(address, timeout=60) as client:
+            client.wait_for_workers(1, timeout=60)
+        begun = begin(specify(ASKED, runs=2), None)
+        found = finish(begun, connect(address), lambda _: None)
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait(30)
+    assert found.computed_pieces == 4 and found.dataset is not None
+
+
+def _started(words: list[str], more: dict[str, str]) -> subprocess.Popen[bytes]:
+    """Start a command of a pod, `dask ...`, by this interpreter."""
+    program = [sys.executable, "-m", *words]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(program, env={**os.environ, **more}, stdout=quiet, stderr=quiet)
+
+
+def _address_in(file: Path) -> str:
+    """Return the address that a scheduler writes when it is ready."""
+    for _ in range(600):
+        if file.exists() and (text := file.read_text()).strip().endswith("}"):
+            return json.loads(text)["address"]
+        time.sleep(0.1)
+    raise AssertionError("the scheduler did not start within a minute")
 
 
 def certificates(folder: Path) -> None:
