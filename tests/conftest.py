@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.dashboard.conftest import HOW
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # A busy machine is no failure; a build server tries the same examples every time.
@@ -24,6 +26,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "chromium" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End the output with a line where tests of the page were skipped for lack of a browser."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    reports = [] if reporter is None else reporter.stats.get("skipped", [])
+    without = sum(HOW in str(report.longrepr) for report in reports)
+    if reporter is not None and without:
+        reporter.write_line(f"NO BROWSER: {without} tests of the page were skipped; it {HOW}")
 
 
 @pytest.fixture(autouse=True)
