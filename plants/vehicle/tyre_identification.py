@@ -68,7 +68,8 @@ def identify(
     """Return the tyres of a car that fit a drive best, starting from the car's own.
 
     Args:
-        drive: steering, speed and yaw rate must be known, lateral acceleration and side slip may.
+        drive: steering, speed and yaw rate must be known but for the ends of the drive, lateral
+            acceleration and side slip may.
         car: mass, geometry, and the tyres to start from.
         tyre: law of the lateral force.
         seek_friction: whether the friction is sought too; only a drive near the limit tells it.
@@ -81,7 +82,7 @@ def identify(
     """
     from scipy.optimize import least_squares  # here, so that a node process never loads scipy
 
-    driven = _resampled(drive)
+    driven = _without_ends(_resampled(drive))
     outputs = np.stack(
         [driven.yaw_rate_rad_s, driven.lateral_acceleration_m_s2, driven.side_slip_rad], axis=-1
     )
@@ -190,6 +191,17 @@ def _resampled(drive: Drive) -> Drive:
         return np.interp(time_s, drive.time_s, values)
 
     return Drive(MODEL_STEP_S, *(at(values) for values in drive[1:]))
+
+
+def _without_ends(drive: Drive) -> Drive:
+    """Return the drive from the first to the last instant at which steering and speed are known.
+
+    Channels with stamps of their own begin and end at different times.
+    """
+    told = np.flatnonzero(np.isfinite(drive.steering_rad) & np.isfinite(drive.speed_m_s))
+    if not len(told):
+        return drive
+    return Drive(drive.time_step_s, *(values[told[0] : told[-1] + 1] for values in drive[1:]))
 
 
 def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m_s: float) -> None:

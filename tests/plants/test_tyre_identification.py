@@ -81,6 +81,16 @@ def test_without_noise_it_is_exact_whatever_the_log_is_sampled_at():
         assert ours == pytest.approx(truth, rel=2e-3)
 
 
+def test_channels_may_begin_and_end_at_different_times():
+    logged = drive(TRUE, tanh_tyre, 0.05, noise=0.0)
+    steering, speed = logged.steering_rad.copy(), logged.speed_m_s.copy()
+    steering[:3], speed[-2:] = np.nan, np.nan
+    told = logged._replace(steering_rad=steering, speed_m_s=speed)
+    found = identify(told, BMW_320I, tanh_tyre, seek_friction=True)
+    for ours, truth in zip(axles_of(found.car), axles_of(TRUE), strict=True):
+        assert ours == pytest.approx(truth, rel=1e-2)
+
+
 def test_drives_that_cannot_tell_are_refused():
     with pytest.raises(ValueError, match="fast curves"):
         identify(drive(TRUE, linear_tyre, 0.001), BMW_320I)
