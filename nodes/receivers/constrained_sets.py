@@ -29,7 +29,8 @@ class ConstrainedZonotopes:
         n, shape = self.states, Zonotopes(self.states)
         loose = Zonotope(own.lifted.centre[:n], own.lifted.generators[:n])
         found = shape.bounds(own.box), shape.bounds(loose)
-        units = zonotope.half_widths(own.box)
+        widths = zonotope.half_widths(own.box)
+        units = np.where(widths == 0.0, 1.0, widths)
         sizes = [(np.diagonal(one.cov) / units**2).sum() for one in found]
         return found[int(sizes[1] < sizes[0])]
 

@@ -112,7 +112,7 @@ class Ellipsoids:
 
     def containing(self, prior: Gaussian) -> Ellipsoid:
         """The ellipsoid itself."""
-        return _from_shape(prior)
+        return _around(prior)
 
     def centres(self, sets: Ellipsoid) -> np.ndarray:
         """Their centres."""
@@ -178,7 +178,7 @@ class Zonotopes:
 
     def containing(self, prior: Gaussian) -> Zonotope:
         """The box around the ellipsoid along its own axes."""
-        return self._reduced(zonotope.around(_from_shape(prior)))
+        return self._reduced(zonotope.around(_around(prior)))
 
     def centres(self, sets: Zonotope) -> np.ndarray:
         """Their centres."""
@@ -274,6 +274,14 @@ def _rounded_up(shape: np.ndarray, unit: float) -> np.ndarray:
     n = shape.shape[-1]
     diagonal = np.diagonal(shape, axis1=-2, axis2=-1)
     return shape + np.eye(n) * (n * (2.0 * unit + rounding_bound(n)) * diagonal)[..., None]
+
+
+def _around(prior: Gaussian) -> Ellipsoid:
+    """Ellipsoids around these, flat in the states whose variance is 0."""
+    known = np.diagonal(prior.cov, axis1=-2, axis2=-1) == 0.0
+    lifted = Gaussian(prior.mean, prior.cov + np.eye(known.shape[-1]) * known[..., None])
+    lower = _from_shape(lifted).factor
+    return Ellipsoid(prior.mean, np.where(known[..., None], 0.0, lower))
 
 
 def _from_shape(belief: Gaussian) -> Ellipsoid:

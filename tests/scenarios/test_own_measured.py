@@ -1,5 +1,6 @@
 """Own plants behind a measurement bus: every kind of plant, and what is refused."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,17 @@ def test_every_set_of_a_bounded_plant_holds_the_truth(receiver: str):
         trace = run(made.with_(seed=seed, loss=0.2))
         radii = nees(trace.mean[:, 0] - trace.truth, trace.cov[:, 0])
         assert (radii <= 1.0).all()
+
+
+@pytest.mark.parametrize("receiver", ["tight", "fast-rate", *ZONOTOPES])
+@pytest.mark.parametrize("shape", [[1.0, 0.0], [0.0, 0.0]])
+def test_a_first_set_may_be_flat_or_a_point(receiver: str, shape: list[float]):
+    chosen: Any = receiver if receiver in ZONOTOPES else EllipsoidReceiver(method=receiver)  # type: ignore[arg-type]
+    plant = replace(BOUNDED, shape=shape)
+    trace = run(on_a_measurement_bus(plant, STRIPS, receiver=chosen, steps=12))
+    assert np.isfinite(trace.mean[:, 0]).all()
+    radii = nees(trace.mean[1:, 0] - trace.truth[1:], trace.cov[1:, 0])
+    assert (radii <= 1.0).all()
 
 
 def test_weights_by_sensor_and_step_decide_who_sends():
