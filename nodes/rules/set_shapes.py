@@ -112,7 +112,7 @@ class Ellipsoids:
 
     def containing(self, prior: Gaussian) -> Ellipsoid:
         """The ellipsoid itself."""
-        return _around(prior)
+        return _containing(prior)
 
     def centres(self, sets: Ellipsoid) -> np.ndarray:
         """Their centres."""
@@ -178,7 +178,7 @@ class Zonotopes:
 
     def containing(self, prior: Gaussian) -> Zonotope:
         """The box around the ellipsoid along its own axes."""
-        return self._reduced(zonotope.around(_around(prior)))
+        return self._reduced(zonotope.around(_containing(prior)))
 
     def centres(self, sets: Zonotope) -> np.ndarray:
         """Their centres."""
@@ -276,7 +276,7 @@ def _rounded_up(shape: np.ndarray, unit: float) -> np.ndarray:
     return shape + np.eye(n) * (n * (2.0 * unit + rounding_bound(n)) * diagonal)[..., None]
 
 
-def _around(prior: Gaussian) -> Ellipsoid:
+def _containing(prior: Gaussian) -> Ellipsoid:
     """Ellipsoids around these, flat in the states whose variance is 0."""
     known = np.diagonal(prior.cov, axis1=-2, axis2=-1) == 0.0
     lifted = Gaussian(prior.mean, prior.cov + np.eye(known.shape[-1]) * known[..., None])
