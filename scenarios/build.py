@@ -59,7 +59,7 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
         scenario.rounds,
         scenario.steps,
         bus,
-        _estimator(setup, node, bus, Beginning(step, cycle)),
+        _estimator(setup, node, bus, Beginning(step, cycle, step > standing.first_step)),
         link_state(setup),
         standing.first_step,
         standing.first_cycle,

@@ -153,6 +153,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
         withhold_below=flooding_of(everybody.scenario).withhold_below,
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
+        joins=context.beginning.joins,
     )
     rule = flooding_of(everybody.scenario)
     if isinstance(rule, EllipsoidFlooding):

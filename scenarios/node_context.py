@@ -31,10 +31,14 @@ class Everybody(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """The first step of an estimator, and the communication cycle with which it begins."""
+    """The first step of an estimator, and the communication cycle with which it begins.
+
+    `joins`: the network began before, and the node comes back to it.
+    """
 
     step: int = 0
     cycle: int = 0
+    joins: bool = False
 
 
 class RuleContext(NamedTuple):

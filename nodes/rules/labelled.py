@@ -33,8 +33,7 @@ from concord.nodes.rules.record_sets import (
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
 
-# Steps of silence after which a neighbour is owed a checkpoint.
-GAP_STEPS = 16
+GAP_STEPS = 16  # of silence, after which a neighbour is owed a checkpoint
 
 
 class LabelledContent(NamedTuple):
@@ -78,7 +77,8 @@ class LabelledFlooding:
     `neighbours` are those of every node, ascending; `prior` is common to all; a neighbour that was
     not heard for more than `gap_steps` is owed a checkpoint. An own reading of 1, 2, ... entries
     beyond the chi-square threshold in `gates` is not recorded; none for no such gate. Nor is a
-    reading worth less than `withhold_below` nats. `own` is the node's sensor; none if blind.
+    reading worth less than `withhold_below` nats. `own` is the node's sensor; none if blind. A
+    node that `joins` begins later than its neighbours, with a base of a later step than theirs.
 
     Source: the project's study of fusion under bus limits (labelled-measurement flooding).
     """
@@ -97,6 +97,7 @@ class LabelledFlooding:
     withhold_below: float = 0.0
     first_step: int = 0
     first_cycle: int = 0
+    joins: bool = False
 
     @property
     def share_bytes(self) -> int:
@@ -176,10 +177,7 @@ class LabelledFlooding:
         )
 
     def bid(self, content: LabelledContent) -> int | None:
-        """How many records the neighbours lack, newer ones counting more; None for none at all.
-
-        An integer.
-        """
+        """Return how many records neighbours lack, newer ones counting more; None for none."""
         doubts = self.choice.doubts(content.held, content.known)
         urgency = int(self.choice.need(doubts)) + URGENCY * (content.owed + content.needs)
         if urgency == 0:
@@ -190,7 +188,7 @@ class LabelledFlooding:
         """A checkpoint if one is owed, and the records that neighbours may lack."""
         base = content.windows.base
         checkpoint = None
-        if content.owed and not content.needs:
+        if content.owed and not content.needs and self._has_common_base(content):
             checkpoint = Gaussian(base.mean[0, 0], base.cov[0, 0])
         doubts = self.choice.doubts(content.held, content.known)
         room = self.frames.room(content.held, np.array(checkpoint is not None))
@@ -313,6 +311,8 @@ class LabelledFlooding:
     def _fuse_base(
         self, content: LabelledContent, checkpoint: Gaussian
     ) -> tuple[LabelledContent, list[str]]:
+        if not self._has_common_base(content):
+            return content, ["checkpoint-of-another-step"]
         windows = content.windows
         base = self.filter.fused(windows.base, one_lane(checkpoint))
         if not finite(base):
@@ -322,6 +322,10 @@ class LabelledFlooding:
             return content, ["checkpoint-known"]
         windows = windows._replace(base=base, right=np.zeros_like(windows.right))
         return content._replace(windows=windows), ["checkpoint-fused"]
+
+    def _has_common_base(self, content: LabelledContent) -> bool:
+        """Say whether the base is of the step of the neighbours' bases."""
+        return not self.joins or content.windows.first == 0
 
     def _closed(
         self, content: LabelledContent, failures: list[str]

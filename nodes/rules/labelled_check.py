@@ -50,7 +50,7 @@ class SelfCheckedFlooding(LabelledFlooding):
         self, content: LabelledContent, checkpoint: Gaussian
     ) -> tuple[LabelledContent, list[str]]:
         """Fuse a checkpoint with the base; it replaces the base of a node that asks for help."""
-        if not _asks(content):
+        if not _asks(content) or not self._has_common_base(content):
             return super()._fuse_base(content, checkpoint)
         windows = content.windows._replace(base=one_lane(checkpoint))
         windows = trusting(windows, np.ones((1, 1), dtype=bool))

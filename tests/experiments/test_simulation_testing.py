@@ -115,6 +115,15 @@ def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():
     assert not back("trimmed-ci", "2 lie 1 3 2", "3 set rule=ci")
 
 
+def test_a_node_that_joins_takes_no_checkpoint_of_an_earlier_step_for_one_of_its_own():
+    """Neighbours owe it one of the beginning of their window, which is before its own."""
+    fixed = {
+        "scenario": "oscillator", "nodes": 5, "loss": 0.0, "cluster": "fitted", "steps": 14,
+        "changes": ("2 kill 0", "8 kill 4", "9 crc 2 0.78", "13 restart 4"),
+    }  # fmt: skip
+    assert run_case(draw_case(910018, fixed)).broken is None
+
+
 def test_a_seed_is_a_case_and_its_run_to_the_last_bit():
     assert draw_case(7, {}) == draw_case(7, {})
     assert draw_case(7, {}) != draw_case(8, {})
