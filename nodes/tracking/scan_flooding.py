@@ -125,12 +125,18 @@ class ScanFlooding:
     def fuse(
         self, content: ScanContent, shares: tuple[LabelledShare | None, ...]
     ) -> tuple[ScanContent, tuple[str, ...]]:
-        """End a group: hold the records received; at the end of a step compute the tracks."""
+        """End a group: hold the records received; at the end of a step compute the tracks.
+
+        Each cluster of the step beyond the bound of the exact sum counts as a failure.
+        """
         flooded, failures = self.flooding.fuse(content.flooded, shares)
         rounds = flooded.cycle - self.flooding.first_cycle
         is_end = flooded.group == 0 and rounds % self.flooding.rounds == 0
         content = _with_flooded(content, flooded)
-        return (self._tracked(content) if is_end else content), failures
+        if not is_end:
+            return content, failures
+        content = self._tracked(content)
+        return content, (*failures, *["approximated-cluster"] * content.last.tracked.approximated)
 
     def _tracked(self, content: ScanContent) -> ScanContent:
         windows, before = content.flooded.windows, {one.step: one for one in content.reached}

@@ -22,6 +22,7 @@ from concord.nodes.tracking.scan_flooding import (
     Reached,
     ScanContent,
     ScanFlooding,
+    StepRecords,
     reported_tracks,
 )
 from concord.runtime import in_process
@@ -198,6 +199,23 @@ def test_scans_that_a_record_does_not_hold_are_shortened_and_counted():
     counters = trace_of(setup_of(crowded, clutter=90)).counters
     assert [one["record-range"] for one in counters] == [6] * 6
     assert not any("record-range" in one for one in trace_of(setup_of(crowded)).counters)
+
+
+def test_clusters_beyond_the_exact_sum_are_counted_in_each_step():
+    setup = setup_of(SMALL, steps=4)
+
+    def crowded(before: Tracked, step: int, records: StepRecords) -> Tracked:
+        return before._replace(approximated=2)
+
+    nodes = [
+        dataclasses.replace(
+            node, estimator=dataclasses.replace(estimator_of(setup, node.index), track=crowded)
+        )
+        for node in nodes_of(setup)
+    ]
+    recorder = MemoryRecorder()
+    states = in_process.run(build_environment(setup), nodes, recorder)
+    assert [state.counters["approximated-cluster"] for state in states] == [2 * 4] * 6
 
 
 def test_a_share_with_a_checkpoint_is_rejected():
