@@ -57,7 +57,7 @@ def test_the_result_of_a_sweep_counts_too(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("command", "runs_each"), [("sweep --runs 200", 41), (f"design {' '.join(TARGET)}", 25)]
+    ("command", "runs_each"), [("sweep --runs 400", 83), (f"design {' '.join(TARGET)}", 25)]
 )
 def test_the_runs_of_all_workers_count_together(
     command: str, runs_each: int, capsys, monkeypatch, tmp_path: Path
