@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 NOT_ASSIGNED = -1
 
@@ -34,7 +33,7 @@ def gospa(truth: np.ndarray, estimates: np.ndarray, cutoff: float, order: float 
     assignment metric, FUSION, equation 1 and proposition 1.
     """
     costs = _distances(truth, estimates, cutoff) ** order
-    rows, columns = linear_sum_assignment(costs)
+    rows, columns = _assigned(costs)
     near = costs[rows, columns] < cutoff**order
     assigned = np.full(len(truth), NOT_ASSIGNED)
     assigned[rows[near]] = columns[near]
@@ -54,9 +53,17 @@ def ospa(truth: np.ndarray, estimates: np.ndarray, cutoff: float, order: float =
     if not most:
         return 0.0
     costs = _distances(truth, estimates, cutoff) ** order
-    total = costs[linear_sum_assignment(costs)].sum()
+    total = costs[_assigned(costs)].sum()
     total += cutoff**order * abs(len(truth) - len(estimates))
     return float((total / most) ** (1 / order))
+
+
+def _assigned(costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the assignment of least total cost."""
+    # Only here: commands without several targets need not load scipy.
+    from scipy.optimize import linear_sum_assignment
+
+    return linear_sum_assignment(costs)
 
 
 def _distances(truth: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.ndarray:
