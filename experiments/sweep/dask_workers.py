@@ -38,7 +38,9 @@ def connect(address: str, tls: Path | None = None) -> Engine:
     try:
         # Without files, Dask's own configuration says which.
         security = Security(require_encryption=True, **files) if files else None
-        client = Client(address, timeout=CONNECT_TIMEOUT_S, security=security)
+        # Not the default client: those that overlap leave a closed one in Dask's settings, and
+        # xarray then looks for it when it writes a file.
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, security=security, set_as_default=False)
     except TypeError:
         # Dask's answer to an address of TLS without files.
         raise ValueError(
@@ -129,7 +131,8 @@ def _some_done(client: Any, futures: Sequence[Any]) -> Sequence[Any]:
     without_s = 0.0
     while True:
         try:
-            found: Any = wait(futures, _LOOK_EVERY_S, return_when="FIRST_COMPLETED")
+            with client.as_current():
+                found: Any = wait(futures, _LOOK_EVERY_S, return_when="FIRST_COMPLETED")
             return list(found.done)
         except CancelledError:
             raise _scheduler_lost() from None

@@ -168,6 +168,7 @@ def certificates(folder: Path) -> None:
 @pytest.mark.slow
 def test_workers_behind_tls_find_the_same_and_others_are_refused(tmp_path: Path):
     distributed = pytest.importorskip("distributed")
+    dask_settings = pytest.importorskip("dask").config
     certificates(tmp_path)
     ca, cert, key = (str(tmp_path / name) for name in ("ca.pem", "cert.pem", "key.pem"))
     ends = {f"tls_{end}_{part}": path for end in ("client", "scheduler", "worker")
@@ -182,7 +183,10 @@ def test_workers_behind_tls_find_the_same_and_others_are_refused(tmp_path: Path)
         assert address.startswith("tls://")
         with pytest.raises(ValueError, match="give --dask-tls FOLDER"):
             connect(address)
-        found = finish(begin(specification, None), connect(address, tmp_path), lambda _: None)
+        engine = connect(address, tmp_path)
+        # A default client would stay in these settings where clients overlap.
+        assert dask_settings.get("scheduler", None) is None
+        found = finish(begin(specification, None), engine, lambda _: None)
     here = tmp_path / "here.nc"
     main(["sweep", *WORDS[:-2], "--keep", "histories", "--workers", "1", "-o", str(here)])
     assert found.dataset is not None and found.dataset.equals(read_result(here))
