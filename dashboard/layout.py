@@ -80,19 +80,7 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
         if width < PHONE_WIDTH:
             # The column covers the lower half once it is opened.
             return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, height / 2)
-        columns = columns_for(width)
-        main, right = client.gui.main_panel, place_of(client, upper)
-        main.dock_left()
-        if width < SMALL_WIDTH:
-            main.minimize()
-        else:
-            main.expand()
-            main.set_width(columns.left)
-        right.dock_right()
-        right.set_width(columns.right)
-        place_of(client, lower)._set_position(
-            {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
-        )
+        columns = dock_columns(client, width, upper, lower)
         canvas = max(width - columns.left - columns.right - _DOCK, 360)
         bus_height = _bus_height(canvas)
         place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
@@ -112,6 +100,26 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
         charts, state, log, nodes, selected, legend, bus, tabs["Beliefs"], tabs["States"], ratios,
         arrange,
     )  # fmt: skip
+
+
+def dock_columns(
+    client: viser.ClientHandle, width: int, upper: viser.PanelHandle, lower: viser.PanelHandle
+) -> Columns:
+    """Dock the controls left, and two panels right, in a window of so many pixels."""
+    columns = columns_for(width)
+    main, right = client.gui.main_panel, place_of(client, upper)
+    main.dock_left()
+    if width < SMALL_WIDTH:
+        main.minimize()
+    else:
+        main.expand()
+        main.set_width(columns.left)
+    right.dock_right()
+    right.set_width(columns.right)
+    place_of(client, lower)._set_position(
+        {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
+    )
+    return columns
 
 
 def place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.MainPanelHandle:

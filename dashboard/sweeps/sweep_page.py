@@ -12,7 +12,7 @@ import viser
 from concord.dashboard.bridge import Bridge
 from concord.dashboard.failures import PanelFailures
 from concord.dashboard.inputs import at_once
-from concord.dashboard.layout import PHONE_WIDTH, SMALL_WIDTH, columns_for, place_of
+from concord.dashboard.layout import PHONE_WIDTH, dock_columns, place_of
 from concord.dashboard.sweeps.details import cell_table, error_panel, runs_panel
 from concord.dashboard.sweeps.limits import limit_widgets
 from concord.dashboard.sweeps.scatter import axes_of, scatter
@@ -113,19 +113,7 @@ class SweepPage:
     def _arrange(self, client: viser.ClientHandle, width: int, height: int) -> None:
         """Fit the panels into a client's window of that size in pixels."""
         if width >= PHONE_WIDTH:
-            columns, main = columns_for(width), client.gui.main_panel
-            main.dock_left()
-            if width < SMALL_WIDTH:
-                main.minimize()
-            else:
-                main.expand()
-                main.set_width(columns.left)
-            right = place_of(client, self._right)
-            right.dock_right()
-            right.set_width(columns.right)
-            place_of(client, self._lower)._set_position(
-                {"kind": "split", "anchor_uuid": self._right._placement_uuid, "side": "below"}
-            )
+            columns = dock_columns(client, width, self._right, self._lower)
             left = width - columns.left - columns.right
             place_of(client, self._picture).float(x=8, y=8, width=left - 24, height=height - 16)
         self._changed.set()
