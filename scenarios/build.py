@@ -21,7 +21,7 @@ from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.control import control_node
 from concord.scenarios.equipment import build_faults, spread_of
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filters import build_filter, models_of
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
@@ -139,6 +139,7 @@ def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
         wire_number(scenario),
         scenario.rule,
         contends,
+        models_of(scenario.filter),
     )
 
 

@@ -33,6 +33,7 @@ from concord.scenarios.estimators import (
     trimmed,
     weighted_information,
 )
+from concord.scenarios.filters import check_shares, models_of
 from concord.scenarios.labelled import check_labelled, largest_share, without_arrays
 from concord.scenarios.node_context import BatchContext, NodeContext
 from concord.scenarios.scenario import Scenario, lossy_links
@@ -161,7 +162,8 @@ def share_size(scenario: Scenario, states: int) -> int:
     share = rule_of(scenario).share
     if share is None:
         return largest_share(scenario, states)
-    return share.codec(wire_number(scenario), states, scenario.nodes).size
+    number, models = wire_number(scenario), models_of(scenario.filter)
+    return share.codec(number, states, scenario.nodes, models).size
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:
@@ -222,6 +224,7 @@ def _in_step(
 
 
 def _require_form(scenario: Scenario, rule: Rule) -> None:
+    check_shares(scenario, rule.shares_beliefs)
     if rule.share is None or rule.share.has(wire_number(scenario)):
         return
     raise ValueError(

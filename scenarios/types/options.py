@@ -91,6 +91,8 @@ class ScenarioOptions(TypedDict, total=False):
     retransmissions: int
     filter: FILTER
     iterations: int
+    change: float
+    turn_rate_std: float
     bandwidth: float
     least_noise: float
     most_noise: float
@@ -168,6 +170,8 @@ class SweptOptions(TypedDict, total=False):
     retransmissions: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
+    change: Sequence[float] | np.ndarray | float
+    turn_rate_std: Sequence[float] | np.ndarray | float
     bandwidth: Sequence[float] | np.ndarray | float
     least_noise: Sequence[float] | np.ndarray | float
     most_noise: Sequence[float] | np.ndarray | float
