@@ -89,7 +89,7 @@ def findings(file: Path, root: Path = ROOT) -> list[Finding]:
 
 
 def files(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield the checked files at or below paths, without hidden folders, links and results of runs."""
+    """Yield the checked files at or below paths, without hidden folders, links and runs."""
     for path in paths:
         for file in _below(path) if path.is_dir() else [path]:
             if file.suffix in SUFFIXES:
