@@ -108,7 +108,7 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> AnyEs
         return definition.wiring.estimator(setup, node, bus, beginning)
     context = NodeContext(
         node,
-        rule_context(setup),
+        rule_context(setup, any(node in row for row in bus.schedule.contender_table)),
         weights=np.array(setup.weights[node]),
         model=definition.model(scenario),
         sensor=definition.sensor(scenario, node),
@@ -128,8 +128,8 @@ def filter_of(setup: Setup) -> Filter:
     return build_filter(scenario.filter, len(setup.prior_mean), own)
 
 
-def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
-    """Return the context of a setup's rule."""
+def rule_context(setup: Setup, contends: bool) -> RuleContext:
+    """Return the context of a setup's rule at nodes that ask for dynamic slots, or do not."""
     scenario = setup.scenario
     return RuleContext(
         len(setup.prior_mean),
