@@ -71,6 +71,7 @@ class ScenarioOptions(TypedDict, total=False):
     withhold_below: float
     record_number: RECORD_NUMBER
     smooth_steps: int
+    most_tracks: int
     bid_weights: str
     rounds: int
     bus: FUNCTION
@@ -150,6 +151,7 @@ class SweptOptions(TypedDict, total=False):
     withhold_below: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     smooth_steps: Sequence[int] | np.ndarray | int
+    most_tracks: Sequence[int] | np.ndarray | int
     bid_weights: Sequence[str] | np.ndarray | str
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
