@@ -63,8 +63,8 @@ class Plot:
         self._chart, self._theme, self._order = chart, theme, order
         self._form: PlotForm | None = None
         # The last one is shown. viser forgets the zoom of a plot that is hidden; a plot that is
-        # removed may still be sent data.
-        self._handles: deque[Any] = deque()
+        # removed may still be sent data. Each comes with the properties that a browser has of it.
+        self._handles: deque[tuple[Any, dict[str, Any]]] = deque()
         self._times, self._columns = np.zeros(0), [np.zeros(0) for _ in chart.lines]
         self._title = titled(chart.name, chart.unit, 0)
 
@@ -120,15 +120,17 @@ class Plot:
                     order=self._order,
                 )  # fmt: skip
         else:
-            handle = self._handles.popleft()
+            handle, before = self._handles.popleft()
             for name, value in {**shown, "visible": True}.items():
-                setattr(handle, name, value)
-        self._handles.append(handle)
+                if name == "data" or before.get(name) != value:
+                    setattr(handle, name, value)
+        del shown["data"]
+        self._handles.append((handle, shown))
         self._form = form
 
     def _hide(self) -> None:
         if self._form is not None:
-            self._handles[-1].visible = False
+            self._handles[-1][0].visible = False
         self._form = None
 
     def set_theme(self, theme: Theme) -> None:
@@ -161,7 +163,7 @@ class Plot:
         form = PlotForm(titled(name, unit, power), present, power, is_logarithmic, is_zero)
         data = (sample.times, *(10.0**-power * column for column in drawn))
         if form == self._form:
-            self._handles[-1].data = data
+            self._handles[-1][0].data = data
         else:
             self._add(form, data)
 

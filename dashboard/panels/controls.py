@@ -47,6 +47,7 @@ class Controls:
         # A recording is played by the page; so is the run of a network that has ended.
         self._plays = not source.live
         self._answered, self._rate = True, 0.0
+        self._is_paused: bool | None = None
         self._run_again: Callable[[], None] | None = None
         self.commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
@@ -184,6 +185,9 @@ class Controls:
 
     def _show_paused(self, paused: bool) -> None:
         """Set the button's label."""
+        if paused == self._is_paused:
+            return
+        self._is_paused = paused
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
 

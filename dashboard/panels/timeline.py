@@ -1,6 +1,7 @@
 """The FlexRay panel: the shown cycle to scale, past cycles as a raster; one SVG as text."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from concord.bus.bus import Bus
 from concord.dashboard.frames.frame import BusCycle, StepFrame
@@ -137,8 +138,9 @@ def _headings(axis: Axis, theme: Theme, bus: Bus) -> str:
     return "".join(text)
 
 
+@lru_cache(maxsize=8)
 def _grid_of_slots(axis: Axis, theme: Theme, bus: Bus) -> str:
-    """Where slots begin: ticks for static slots and for minislots."""
+    """Where slots begin: ticks for static slots and for minislots; a bus has the same in each cycle."""
     ends, minislots = bus.marks_us()
     path: list[str] = []
     if ends and axis.x(ends[0]) - LEFT > 3:

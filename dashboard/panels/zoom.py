@@ -79,19 +79,18 @@ class _Drawing:
         mean, cov = frame.belief.mean[:, states], frame.belief.cov[:, states][:, :, states]
         faint = 0.35 if len(nodes) > MANY_NODES else 0.7
         parts = [self._rings()]
-        shape = self._set
-        others = [node for node in nodes if node != selected]
-        parts += [shape(i, mean[i], cov[i], theme.estimate, faint, 1.0) for i in others]
+        others = nodes[nodes != selected]
+        parts.append(self._sets(others, mean, cov, theme.estimate, faint, 1.0))
         fused, fused_cov = frame.fused.mean[states], frame.fused.cov[states][:, states]
         if np.isfinite(fused).all():
-            parts.append(self._ellipse(fused, fused_cov, theme.fused, 1.0, 2.0, fill=0.22))
-        parts += [self._dot(mean[i], theme.estimate, 2.4, int(i)) for i in others]
+            parts.append(self._ellipses(fused[None], fused_cov[None], theme.fused, 1.0, 2.0, 0.22))
+        parts.append(self._dots(others, mean, theme.estimate, 2.4))
         if selected is not None and np.isfinite(mean[selected]).all():
-            chosen = (mean[selected], cov[selected], theme.selection, 1.0, 2.0)
-            parts.append(shape(selected, *chosen))
-            parts.append(self._dot(mean[selected], theme.selection, 3.5, selected))
+            chosen = np.array([selected])
+            parts.append(self._sets(chosen, mean, cov, theme.selection, 1.0, 2.0))
+            parts.append(self._dots(chosen, mean, theme.selection, 3.5))
         if self._known:
-            x, y = self._pixel(self._centre)
+            x, y = SIZE / 2, SIZE / 2
             parts.append(
                 f'<path d="M{x - 7:.1f} {y:.1f}h14M{x:.1f} {y - 7:.1f}v14" '
                 f'stroke="{css(theme.truth)}" stroke-width="2.5"/>'
@@ -100,9 +99,10 @@ class _Drawing:
         parts.append(self._scale_marks())
         return "".join(parts)
 
-    def _pixel(self, point: np.ndarray) -> tuple[float, float]:
-        x, y = (point - self._centre) * self._scale
-        return SIZE / 2 + float(x), SIZE / 2 - float(y)
+    def _pixels(self, points: np.ndarray) -> list[list[float]]:
+        """Return the places of points (P, 2) in the drawing."""
+        offsets = (points - self._centre) * self._scale
+        return (SIZE / 2 + offsets * [1.0, -1.0]).tolist()
 
     def _rings(self) -> str:
         """Circles of round radius, or a cross of axes where the two states differ in kind."""
@@ -145,27 +145,34 @@ class _Drawing:
             f'pointer-events="none">{text}</text>'
         )
 
-    def _set(
+    def _sets(
         self,
-        node: int,
+        nodes: np.ndarray,
         mean: np.ndarray,
         cov: np.ndarray,
         colour: Colour,
         opacity: float,
         width: float,
     ) -> str:
-        """Return the belief of a node: its zonotope, if the node keeps one, or its ellipse."""
-        generators = self._frame.zonotopes[node]
-        if generators is None:
-            return self._ellipse(mean, cov, colour, opacity, width)
-        corners = zonotope_corners(mean, generators[self._states])
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(self._pixel, corners))
-        return (
-            f'<polygon points="{points}" fill="none" stroke="{css(colour, opacity)}" '
-            f'stroke-width="{width:g}" stroke-linejoin="round"/>'
+        """Return the beliefs of nodes: the zonotopes of those that keep one, ellipses of others."""
+        kept = [node for node in nodes if self._frame.zonotopes[node] is not None]
+        if not kept:
+            return self._ellipses(mean[nodes], cov[nodes], colour, opacity, width)
+        polygons = "".join(
+            f'<polygon points="{self._corners(node, mean[node])}" fill="none" '
+            f'stroke="{css(colour, opacity)}" stroke-width="{width:g}" stroke-linejoin="round"/>'
+            for node in kept
         )
+        others = np.setdiff1d(nodes, kept)
+        return polygons + self._ellipses(mean[others], cov[others], colour, opacity, width)
 
-    def _ellipse(
+    def _corners(self, node: int, mean: np.ndarray) -> str:
+        generators = self._frame.zonotopes[node]
+        assert generators is not None, "the node keeps a zonotope"
+        corners = zonotope_corners(mean, generators[self._states])
+        return " ".join(f"{x:.1f},{y:.1f}" for x, y in self._pixels(corners))
+
+    def _ellipses(
         self,
         mean: np.ndarray,
         cov: np.ndarray,
@@ -174,25 +181,30 @@ class _Drawing:
         width: float,
         fill: float = 0,
     ) -> str:
-        scaled = self._scale[:, None] * cov * self._scale
-        half, angle = ellipse_axes(scaled[None])
-        x, y = self._pixel(mean)
-        a, b = self._stage.deviations * half[0]
-        inside = css(colour, fill) if fill else "none"
+        """Return the ellipses of means (M, 2) with covariances (M, 2, 2)."""
+        half, angle = ellipse_axes(self._scale[:, None] * cov * self._scale)
+        axes = (self._stage.deviations * half).tolist()
         # Up is down in SVG: the angle turns round.
+        turns = (-np.degrees(angle)).tolist()
+        inside = css(colour, fill) if fill else "none"
+        ellipses = "".join(
+            f'<ellipse cx="{x:.1f}" cy="{y:.1f}" rx="{a:.1f}" ry="{b:.1f}" '
+            f'transform="rotate({turn:.1f} {x:.1f} {y:.1f})"/>'
+            for (x, y), (a, b), turn in zip(self._pixels(mean), axes, turns, strict=True)
+        )
         return (
-            f'<ellipse cx="{x:.1f}" cy="{y:.1f}" rx="{a:.1f}" ry="{b:.1f}" fill="{inside}" '
-            f'transform="rotate({-np.degrees(angle[0]):.1f} {x:.1f} {y:.1f})" '
-            f'stroke="{css(colour, opacity)}" stroke-width="{width:g}"/>'
+            f'<g fill="{inside}" stroke="{css(colour, opacity)}" stroke-width="{width:g}">'
+            f"{ellipses}</g>"
         )
 
-    def _dot(self, point: np.ndarray, colour: Colour, radius: float, node: int) -> str:
-        x, y = self._pixel(point)
-        return (
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{css(colour)}" '
-            f'data-node="{node}" style="cursor:pointer"><title>node '
-            f"{escape(self._stage.names[node])}</title></circle>"
+    def _dots(self, nodes: np.ndarray, mean: np.ndarray, colour: Colour, radius: float) -> str:
+        names = self._stage.names
+        dots = "".join(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" data-node="{node}">'
+            f"<title>node {escape(names[node])}</title></circle>"
+            for node, (x, y) in zip(nodes.tolist(), self._pixels(mean[nodes]), strict=True)
         )
+        return f'<g fill="{css(colour)}" style="cursor:pointer">{dots}</g>'
 
 
 def _round_number(value: float) -> float:

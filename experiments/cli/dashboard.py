@@ -16,7 +16,6 @@ from concord.experiments.monte_carlo.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
 from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
 from concord.experiments.priority import give_way
-from concord.experiments.results.folder import ARRAYS, RECORDING, read_description
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
@@ -133,6 +132,9 @@ def replay(
     A second run of the same scenario and seed is drawn beside it, and compared with it. A page of a
     sweep shows its cells, and computes and opens the runs that its viewers press.
     """
+    # The page of a network does without it.
+    from concord.experiments.results.folder import ARRAYS
+
     if recording.suffix == ".nc" and recording.name != ARRAYS:
         _explore(recording, options, beside)
         return
@@ -191,6 +193,8 @@ def _recorded(recording: Path) -> tuple["Setup", Path]:
     Raises:
         ValueError: there is none.
     """
+    from concord.experiments.results.folder import RECORDING, read_description
+
     if not recording.exists():
         raise ValueError(f"{recording}: there is none; name the run.mcap of a run, or its folder")
     folder = recording if recording.is_dir() else recording.parent

@@ -20,8 +20,6 @@ import msgspec
 import numpy as np
 
 from concord.dashboard.frames.expected import Expected, nothing_expected
-from concord.experiments.monte_carlo.run_frame import bound_of
-from concord.experiments.monte_carlo.simulate import READINGS, simulate
 from concord.experiments.priority import give_way
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.interpreter import fresh_command, fresh_variables
@@ -58,6 +56,10 @@ class NeesRange(msgspec.Struct):
 
 def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: None) -> NeesRange:
     """Return the values of runs 1000 and up, without the shown run. `rest` is called every step."""
+    # The page of a network asks another process, and needs none of this itself.
+    from concord.experiments.monte_carlo.run_frame import bound_of
+    from concord.experiments.monte_carlo.simulate import READINGS, simulate
+
     bounded = setup.scenario.nodes * setup.scenario.steps <= _MOST_BOUNDED
     keep = (READINGS,) if bounded else ()
     histories = simulate(setup, range(1000, 1000 + runs), keep=keep, on_progress=rest)
