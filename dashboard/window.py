@@ -13,7 +13,7 @@ from zipfile import ZipFile
 import numpy as np
 import rich
 import viser
-from viser import _icons as viser_icons
+from viser import _icons
 
 from concord.dashboard.access import PageAccess
 from concord.dashboard.inputs import at_once
@@ -33,7 +33,8 @@ def _archive(path: Path) -> AbstractContextManager[ZipFile]:
 
 
 # viser reads the directory of 4,285 icons again for each icon: 20 ms for each button.
-vars(viser_icons)["zipfile"] = SimpleNamespace(ZipFile=_archive)
+_viser_icons: Any = _icons
+_viser_icons.zipfile = SimpleNamespace(ZipFile=_archive)
 
 
 class PageServer:

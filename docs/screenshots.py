@@ -63,6 +63,13 @@ SHOTS = {
         44,
         {"selected": 21},
     ),
+    "targets": Shot("target-swarm", {"targets": 10}, 70, {"selected": 4}, size=(1366, 768)),
+    "8-nodes": Shot("target-tracking", {"nodes": 8, "steps": 60}, 50, {}, size=(800, 600)),
+    "phone": Shot("target-tracking", {"nodes": 8, "steps": 60}, 50, {}, size=(390, 844)),
+    "100-nodes": Shot(
+        "target-tracking", {"nodes": 100, "steps": 40, "schedule": "hybrid", "occupancy": 0.1}, 39,
+        {"selected": 21}, light=True, size=(1280, 800),
+    ),
     "vehicle": Shot("vehicle-network", {"steps": 700}, 690, {"selected": 1}),
     "replay": Shot(
         "oscillator", {"nodes": 12, "steps": 80, "graph": "small-world"}, 40, {"selected": 4},

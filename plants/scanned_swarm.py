@@ -11,6 +11,8 @@ from concord.plants.scanning import ScanningSensor
 from concord.plants.swarm import Swarm
 
 TARGET_STATES = 4
+PLACES = slice(0, None, 2)
+"""Of a target's states [x, vx, y, vy]."""
 _SPARE_DEVIATIONS, _SPARE_ROWS = 6, 6
 """Clutter for which a scan has room, beyond its mean."""
 

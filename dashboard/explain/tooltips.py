@@ -35,6 +35,9 @@ CHARTS = {
     "NEES": "normalised estimation error squared; consistent nodes stay between the dashed lines",
     "NIS": "normalised innovation squared over its degrees of freedom: 1 is right, and the dashed "
     "line holds 95 % of the steps; it needs no truth",
+    "GOSPA": "error of the tracks of several targets, with the missed and the false ones; the "
+    "cutoff is 50 m",
+    "Missed": "true targets without a track, and tracks without a target",
     "Payload": "bytes of shares on the bus",
 }
 """First words of the titles of charts, with the meaning of the chart."""

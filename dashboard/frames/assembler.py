@@ -14,6 +14,7 @@ from concord.dashboard.frames.innovations import InnovationsTold
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from concord.dashboard.frames.scores import fuse, score
 from concord.dashboard.frames.stage import Stage, restaged
+from concord.dashboard.frames.targets import TracksTold
 from concord.dashboard.frames.told import StepContent, read_step
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
@@ -39,6 +40,7 @@ class Assembler:
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         self._innovations = InnovationsTold(stage.setup)
         self.centralised = CentralisedFilter(stage)
+        self._tracks = TracksTold(stage.setup)
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
@@ -68,9 +70,7 @@ class Assembler:
         if self._last is not None and step.number > self._last + 1:
             self._leave_out(step.number - self._last - 1)
         self._last = step.number
-        # A plant may have more states than a belief, which come after these.
-        truth = from_wire(told.truth.state)[: len(self._stage.state_names)]
-        return self._drawn(step.number, truth, told)
+        return self._drawn(step.number, from_wire(told.truth.state), told)
 
     def _leave_out(self, steps: int) -> None:
         """Let so many steps pass of which nothing was heard."""
@@ -95,8 +95,10 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings), *since)
                 self._bus = BusView(self._stage.bus)
 
-    def _drawn(self, number: int, truth: np.ndarray, told: StepContent) -> StepFrame:
+    def _drawn(self, number: int, state: np.ndarray, told: StepContent) -> StepFrame:
         stage = self._stage
+        # A plant may have more states than a belief, which come after these.
+        truth = state[: len(stage.state_names)]
         numbers = self._network.cycles(number)
         cycles = tuple(
             self._bus.cycle(
@@ -112,6 +114,8 @@ class Assembler:
         self._take_estimates(number, told)
         central = self.centralised.add(number, told)
         nis = self._innovations.add(number, told, self._belief, self._alive)
+        tracks, changes = self._tracks.add(state, told.estimates)
+        self._events += [LogEntry(number, words) for words in changes]
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
         ages = self._ages.copy()
@@ -135,6 +139,7 @@ class Assembler:
             cycles=judged(cycles, stage.heard, ages, alive, events),
             scores=score(stage, truth, self._belief, alive, fused, central)._replace(nis=nis),
             events=events,
+            tracks=tracks,
         )
 
     def _take_estimates(self, number: int, told: StepContent) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from concord.bus.bus import Bus, Transmission
 from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.frames.stage import Stage
+from concord.dashboard.frames.targets import StepTracks
 from concord.filters.gaussian import Gaussian
 
 
@@ -84,7 +85,7 @@ class StepFrame(NamedTuple):
         holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. weights: (H,), of
         what it holds, in its last round, NaN where no node told one. lost: (H,), whose newest share
         did not arrive. cut: (E,), links that are cut. rejection: per node, why it last rejected a
-        frame.
+        frame. tracks: those of several targets, where the scenario has several.
     """
 
     stage: Stage
@@ -105,3 +106,4 @@ class StepFrame(NamedTuple):
     cycles: tuple[BusCycle, ...]
     scores: StepScores
     events: tuple[LogEntry, ...]
+    tracks: StepTracks | None = None

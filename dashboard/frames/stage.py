@@ -1,7 +1,7 @@
 """Fixed part of a network's picture: everything that its setup determines before the run.
 
-Plants that live in the plane are drawn where they are; a car is drawn on its track; any other
-network is laid out by its graph, because its nodes have no place in space.
+Plants that live in the plane are drawn where they are, one target or several; a car is drawn on
+its track; any other network is laid out by its graph, because its nodes have no place in space.
 """
 
 from collections.abc import Callable
@@ -33,6 +33,7 @@ class PlantDrawing(Enum):
 
     PLANE = "where it is"
     TRACK = "a car on its track"
+    SWARM = "several targets and their tracks"
     GRAPH = "the network by its graph"
 
 
@@ -110,10 +111,11 @@ def set_stage(setup: Setup) -> Stage:
     places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
     several = isinstance(setup.scenario.plant, TargetSwarm)
-    if places is not None and not several:
-        picture, positions = PlantDrawing.PLANE, lambda step: np.asarray(plant.positions(step))
+    if places is not None:
+        picture = PlantDrawing.SWARM if several else PlantDrawing.PLANE
+        positions = lambda step: np.asarray(plant.positions(step))  # noqa: E731
     else:
-        layout = _laid_out(setup.neighbours) if places is None else places
+        layout = _laid_out(setup.neighbours)
         track = set(_CAR_STATES) <= set(plant.state_names)
         picture, positions = PlantDrawing.TRACK if track else PlantDrawing.GRAPH, lambda _: layout
     links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
@@ -126,7 +128,7 @@ def set_stage(setup: Setup) -> Stage:
         state_units=tuple(plant.state_units),
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
         heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
-        # Errors of several targets need their tracks; the page shows those of their number.
+        # A belief of several targets is of their number; charts of their tracks stand beside it.
         score=definition.score._replace(unit="targets") if several else definition.score,
         set_valued=is_set_valued(setup.scenario),
         picture=picture,

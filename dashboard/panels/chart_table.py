@@ -6,9 +6,10 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import state_table
-from concord.dashboard.frames.stage import Stage
+from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 from concord.dashboard.panels.nis_chart import nis_chart
+from concord.dashboard.panels.track_charts import track_charts
 
 _LOWER, _UPPER = "−3σ", "+3σ"
 
@@ -16,6 +17,7 @@ _LOWER, _UPPER = "−3σ", "+3σ"
 def run_charts(stage: Stage) -> tuple[Chart, ...]:
     """Return the charts of the network: error, disagreement, consistency, traffic."""
     return (
+        *(track_charts() if stage.picture is PlantDrawing.SWARM else ()),
         Chart(
             f"RMSE of the nodes{_scored(stage)}",
             stage.score.unit,

@@ -8,7 +8,7 @@ import numpy as np
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import PlantDrawing
 from concord.dashboard.scene.legend import meanings
-from concord.dashboard.scene.scene import cell_m
+from concord.dashboard.scene.scene import cell_m, is_to_scale
 from concord.dashboard.theme import css
 from concord.dashboard.view import View
 
@@ -54,9 +54,11 @@ def scene_picture(pixels: np.ndarray, view: View, frame: StepFrame) -> bytes:
 
 def scale_words(view: View, frame: StepFrame) -> str:
     """Return the scale of a scene in words: its grid, and how much larger errors are drawn."""
-    if frame.stage.picture is not PlantDrawing.PLANE:
+    stage = frame.stage
+    if not is_to_scale(stage):
         return "not to scale"
-    return f"grid {cell_m(frame.stage):g} m, errors \u00d7 {view.magnify:g}"
+    factor = f", errors \u00d7 {view.magnify:g}" if stage.picture is PlantDrawing.PLANE else ""
+    return f"grid {cell_m(stage):g} m{factor}"
 
 
 def _on_ground(pixels: np.ndarray, ground: tuple[int, int, int]) -> np.ndarray:

@@ -140,7 +140,7 @@ def _headings(axis: Axis, theme: Theme, bus: Bus) -> str:
 
 @lru_cache(maxsize=8)
 def _grid_of_slots(axis: Axis, theme: Theme, bus: Bus) -> str:
-    """Where slots begin: ticks for static slots and for minislots; a bus has the same in each cycle."""
+    """Where slots begin: ticks for static slots and for minislots, in every cycle."""
     ends, minislots = bus.marks_us()
     path: list[str] = []
     if ends and axis.x(ends[0]) - LEFT > 3:

@@ -49,9 +49,11 @@ class Plane:
         self._range = add_lines(scene, "/plant/range", 1.4)
         self._outside = add_lines(scene, "/plant/outside", 3.0)
         self._edge = edge_of(self.extent())
-        corner = (*self._edge[0], 0.1)
+        # Panels may hide a corner of the map.
+        places = self.extent()[:, :2]
+        below = (float(places[:, 0].mean()), float(places[:, 1].min()), 0.1)
         self._factor = scene.add_label(
-            "/plant/factor", "", position=corner, anchor="top-left", font_screen_scale=0.85
+            "/plant/factor", "", position=below, anchor="top-center", font_screen_scale=0.85
         )
 
     def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:

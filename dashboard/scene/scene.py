@@ -14,6 +14,7 @@ from concord.dashboard.scene.plane import Plane
 from concord.dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
 from concord.dashboard.scene.posts import ErrorPosts
 from concord.dashboard.scene.signs import colour_of
+from concord.dashboard.scene.swarm import SwarmTracks
 from concord.dashboard.scene.track import CarTrack
 from concord.dashboard.theme import Theme, linear, mixed
 from concord.dashboard.view import MOST_LABELS, View
@@ -23,6 +24,7 @@ _NODE_HEIGHT = 0.02
 _MOST_LINKS = 2000
 PLANTS: dict[PlantDrawing, Callable[..., PlantPicture]] = {
     PlantDrawing.PLANE: Plane,
+    PlantDrawing.SWARM: SwarmTracks,
     PlantDrawing.TRACK: CarTrack,
     PlantDrawing.GRAPH: ErrorPosts,
 }
@@ -235,6 +237,11 @@ def cell_m(stage: Stage) -> float:
     return float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power)
 
 
+def is_to_scale(stage: Stage) -> bool:
+    """Say whether the scene is a map."""
+    return stage.picture in (PlantDrawing.PLANE, PlantDrawing.SWARM)
+
+
 def _round_cell(stage: Stage) -> float:
     """Return the width of a cell of the grid in units of the scene."""
-    return cell_m(stage) * stage.scale if stage.picture is PlantDrawing.PLANE else 2.0
+    return cell_m(stage) * stage.scale if is_to_scale(stage) else 2.0

@@ -7,16 +7,16 @@ import msgspec
 import numpy as np
 
 from concord.filters.tracking.scores import (
+    CUTOFF_M,
     NOT_ASSIGNED,
+    ORDER,
     Gospa,
     gospa,
     identity_switches,
     ospa,
 )
 from concord.filters.tracking.tracks import TrackReport
-
-CUTOFF_M, ORDER = 50.0, 2
-PLACES = slice(0, None, 2)  # of a state [x, vx, y, vy]
+from concord.plants.scanned_swarm import PLACES
 
 
 class TrackingScores(msgspec.Struct, frozen=True):

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 NOT_ASSIGNED = -1
+CUTOFF_M, ORDER = 50.0, 2
+"""Of the project's scores."""
 
 
 class Gospa(NamedTuple):
