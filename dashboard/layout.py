@@ -78,8 +78,8 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
         """Fit the panels into a client's window of that size in pixels; return the part of the
         window that they leave to the scene."""
         if width < PHONE_WIDTH:
-            # The column covers the lower half once it is opened.
-            return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, height / 2)
+            # The column covers the lower three fifths once it is opened.
+            return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, 0.4 * height - _MARGIN)
         columns = dock_columns(client, width, upper, lower)
         canvas = max(width - columns.left - columns.right - _DOCK, 360)
         bus_height = _bus_height(canvas)

@@ -46,7 +46,8 @@ class PageServer:
         self.access = PageAccess(host)
         with self.access.guarding():
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
-        self.server.gui.set_panel_label("concord")
+        self._label = ""
+        self.label("concord")
         self._scene: Scene | None = None
         self._target: np.ndarray | None = None
         self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
@@ -58,6 +59,12 @@ class PageServer:
         host = self.server.get_host()
         place = f"[{host}]" if ":" in host else host
         return f"http://{place}:{self.server.get_port()}/?token={self.access.token}"
+
+    def label(self, word: str) -> None:
+        """Write a word above the controls; a small window shows it in place of the controls."""
+        if word != self._label:
+            self._label = word
+            self.server.gui.set_panel_label(word)
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint the widgets of viser."""

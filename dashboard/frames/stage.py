@@ -1,7 +1,7 @@
 """Fixed part of a network's picture: everything that its setup determines before the run.
 
-Plants that live in the plane are drawn where they are, one target or several; a car is drawn on
-its track; any other network is laid out by its graph, because its nodes have no place in space.
+One target or several are drawn where they are in the plane, a car on its track. Any other network
+is laid out by its graph, because its nodes have no place in space.
 """
 
 from collections.abc import Callable

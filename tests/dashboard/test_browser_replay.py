@@ -340,6 +340,8 @@ def test_exports(page: Page):
     ground = picture[-3, -3, :3]
     for strip in (picture[10:32], picture[-90:]):
         assert (np.abs(strip[..., :3] - ground).max(-1) > 0.4).sum() > 500
+    # The scene between them is not uniform.
+    assert len(np.unique(picture[40:-90, :, :3].reshape(-1, 3), axis=0)) > 100
 
 
 def colours_of(picture: bytes) -> int:
