@@ -210,7 +210,8 @@ class Dashboard:
             pending = self.controls.commands.pending if waiting else []
             self.failures.attempt("Ghosts", lambda: hand.draw(self.view.theme, pending))
         judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
-        self._window.label("concord" if judged is None else judged.word)
+        # A factor after the word has no room beside viser's buttons.
+        self._window.label("concord" if judged is None else judged.word.partition(" ")[0])
         failures = self.failures.sentences()
         html = status(self.stage, self.view.theme, frame, state, detail, failures, waiting, judged)
         self.page.show("status", self.controls.status, html)
