@@ -17,7 +17,7 @@ from concord.nodes.rules.labelled_frame import (
     least_limit,
 )
 from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_codec import record_codec
+from concord.nodes.rules.record_codec import PACKED, reading_bytes, record_codec
 from concord.scenarios.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
@@ -30,7 +30,7 @@ from concord.scenarios.types.rules import (
     MeasurementFlooding,
 )
 
-RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
+RECORD_NUMBERS = {"int12": PACKED, "int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _LOSSY_DIGEST_STEPS = 6
 _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
@@ -110,7 +110,7 @@ def _expected_need(scenario: Scenario) -> int:
     Records that find no room wait; a contender bids for them.
     """
     number = RECORD_NUMBERS[flooding_of(scenario).record_number]
-    record_bytes = labelled_bytes(_USUAL_NUMBERS * np.dtype(number).itemsize)
+    record_bytes = labelled_bytes(reading_bytes(_USUAL_NUMBERS, number))
     shares = scenario.rounds * occupancy_of(scenario.bus.schedule)
     return ceil(record_bytes * scenario.nodes / 2 / shares)
 

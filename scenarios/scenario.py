@@ -14,7 +14,7 @@ from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option
 from concord.scenarios.types.options import ScenarioOptions
 from concord.scenarios.types.plants import PlantChoice
-from concord.scenarios.types.rules import CovarianceIntersection, FloodingRule, RuleChoice
+from concord.scenarios.types.rules import CovarianceIntersection, RuleChoice
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -146,12 +146,7 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
     # A part of the bus is a wish for a schedule that can give it.
     asked_bus = options.get("bus", scenario.bus.name)
     usual = bus_type(asked_bus if isinstance(asked_bus, str) else "").partial_schedule
-    if usual != "hybrid":
-        return {**options, "schedule": usual}
-    # Shares of records differ in length, and static slots are all as long as the longest.
-    rule = options.get("rule", scenario.rule)
-    is_flooding = str(rule).startswith("labelled") or isinstance(rule, FloodingRule)
-    return {**options, "schedule": "dynamic" if is_flooding else usual}
+    return {**options, "schedule": usual}
 
 
 def lossy_links(scenario: Scenario) -> str:

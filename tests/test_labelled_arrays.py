@@ -73,7 +73,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         digest_steps=draw(st.sampled_from([None, 0, 2])),
         repeat_above=draw(st.sampled_from([0.0, 0.12, 0.5])),
         repeat_bytes=draw(st.sampled_from([0, 10, 48, 254])),
-        record_number=draw(st.sampled_from(["int16", "float32", "float64"])),
+        record_number=draw(st.sampled_from(["int12", "int16", "float32", "float64"])),
         gate_probability=draw(st.sampled_from([0.0, 0.2])),
         withhold_below=draw(st.sampled_from([0.0, 0.0, 0.05, 0.5])),
         payload_bytes=draw(st.sampled_from([120, 254])),

@@ -47,9 +47,9 @@ class NetworkControls:
         }  # fmt: skip
         there = _settings_of(scenario)
         changed = {name: value for name, value in wanted.items() if there[name] != value}
-        # A full schedule has no room for less; half of the slots static is concord's default.
+        # A full schedule has no room for less.
         if changed.get("occupancy", 1.0) < 1.0 and scenario.bus.schedule.name == "full":
-            changed["schedule"] = "hybrid"
+            changed["schedule"] = scenario.bus.partial_schedule
         if not changed:
             self._commands.tell(
                 event.client, "Nothing to apply", "the network has these settings", False

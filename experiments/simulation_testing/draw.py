@@ -43,7 +43,7 @@ _PLANTS = {
 _CERTAIN = ("ellipsoid", "zonotope")
 _OFTEN = {"ci": 5, "hcmci": 4, "labelled": 5, "wac": 3, "trimmed-ci": 3}
 # Rules that only scenarios of their own have.
-_OWN = ("reception", "track-ci", *_CERTAIN)
+_OWN = ("reception", *_CERTAIN)
 _RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN}}
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")
@@ -150,7 +150,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
             "relay": one(False, False, True),
             "window_steps": window,
             "digest_steps": one(None, None, 0, 4),
-            "record_number": one("int16", "float32", "float64"),
+            "record_number": one("int12", "int16", "float32", "float64"),
             "payload_bytes": one(254, 254, 128),
         }
     elif rule == "centralised":

@@ -4,15 +4,18 @@
     | digest | mask | checkpoint: mean, upper covariance, float32
     | readings of masked records | labelled records: source u8, age u8, readings
 
-The step is not written: a share belongs to the cycle that its frame says, and so to its step. Bit
-a N + j of the digest means "I hold the record of source j of a steps ago". The mask has one bit for
-each bit that is set in the digest: this record follows. So a record of the digest's steps needs no
-label, and takes a bit where a label takes two bytes.
+The step is not written: a share belongs to the cycle that its frame says, and so to its step. The
+digest has a bit for each of the N sources: a record of it is held. Each such source has another bit
+for each of the digest's steps, the newest first: the record of this step is held. The mask has one
+bit for each held record of the digest, by age and source: this record follows. So a record of the
+digest's steps needs no label, and takes a bit where a label takes two bytes.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import reduce
+from operator import or_
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,6 +31,9 @@ _NEED, _CHECKPOINT, _SUSPECT = 1, 2, 4
 _HEAD_BYTES = 2
 _LABEL_BYTES = 2
 _MAX_RECORDS = 255
+
+
+_Count = TypeVar("_Count", int, np.ndarray)
 
 
 class Labelled(NamedTuple):
@@ -74,16 +80,13 @@ class LabelledFrameCodec:
             self.limit_bytes, len(self.codecs), self.digest_steps, max(self.belief.size, longest)
         )
 
-    @property
-    def digest_bytes(self) -> int:
-        """Length of a digest."""
-        return _digest_bytes(len(self.codecs), self.digest_steps)
-
     def room(self, held: RecordSets, with_checkpoint: np.ndarray) -> np.ndarray:
         """Bytes (...) left for records in shares of nodes that hold (..., W, B) of them."""
         last = held[..., self.window_steps - self.digest_steps :, :]
         mask_bytes = -(-np.bitwise_count(last).sum(axis=(-1, -2), dtype=np.int64) // 8)
-        taken = _HEAD_BYTES + self.digest_bytes + mask_bytes
+        sources = np.bitwise_count(np.bitwise_or.reduce(last, axis=-2)).sum(axis=-1, dtype=np.int64)
+        taken = _HEAD_BYTES + _digest_bytes(len(self.codecs), self.digest_steps, sources)
+        taken += mask_bytes
         return self.limit_bytes - taken - np.where(with_checkpoint, self.belief.size, 0)
 
     def costs(self, lengths: np.ndarray) -> np.ndarray:
@@ -110,7 +113,7 @@ class LabelledFrameCodec:
         mask = sum((bit in masked) << place for place, bit in enumerate(_bits(digest)))
         parts = [
             bytes((flags, len(labelled))),
-            digest.to_bytes(self.digest_bytes, "little"),
+            _packed_digest(share.digest, nodes),
             mask.to_bytes(_mask_bytes(digest), "little"),
         ]
         if share.checkpoint is not None:
@@ -124,28 +127,44 @@ class LabelledFrameCodec:
             Rejected: `labelled-length`, `labelled-label`, `labelled-mask`, or what is wrong with a
                 checkpoint.
         """
-        start = _HEAD_BYTES + self.digest_bytes
-        if len(body) < start:
+        if len(body) < _HEAD_BYTES:
             raise Rejected("labelled-length")
         flags, count = body[0], body[1]
-        digest = int.from_bytes(body[_HEAD_BYTES:start], "little")
         nodes = len(self.codecs)
-        if digest >> nodes * self.digest_steps:
-            raise Rejected("labelled-mask")
+        ages, start = self._read_digest(body)
+        digest = sum(held << (age * nodes) for age, held in enumerate(ages))
         labels = self._masked(digest, body[start : start + _mask_bytes(digest)])
         start += _mask_bytes(digest)
         checkpoint = None
         if flags & _CHECKPOINT:
             checkpoint = self.belief.decode(body[start : start + self.belief.size])
             start += self.belief.size
-        everybody = (1 << nodes) - 1
         return LabelledShare(
             bool(flags & _NEED),
             checkpoint,
-            tuple(digest >> (age * nodes) & everybody for age in range(self.digest_steps)),
+            ages,
             self._records(body[start:], labels, count),
             bool(flags & _SUSPECT),
         )
+
+    def _read_digest(self, body: bytes) -> tuple[tuple[int, ...], int]:
+        """Return the digest of a share, and where the mask begins."""
+        nodes, steps = len(self.codecs), self.digest_steps
+        data = int.from_bytes(body[_HEAD_BYTES:], "little")
+        sources = _bits(data & ((1 << nodes) - 1)) if steps else []
+        end = _HEAD_BYTES + int(_digest_bytes(nodes, steps, len(sources)))
+        if len(body) < end:
+            raise Rejected("labelled-length")
+        data = int.from_bytes(body[_HEAD_BYTES:end], "little") >> nodes
+        ages = tuple(
+            sum(
+                (data >> age * len(sources) + place & 1) << one for place, one in enumerate(sources)
+            )
+            for age in range(steps)
+        )
+        if _packed_digest(ages, nodes) != body[_HEAD_BYTES:end]:
+            raise Rejected("labelled-mask")
+        return ages, end
 
     def _masked(self, digest: int, data: bytes) -> list[tuple[int, int]]:
         """The (source, age) of the records that a mask says."""
@@ -199,7 +218,8 @@ def check_limit(limit_bytes: int, nodes: int, digest_steps: int, content_bytes: 
 
 def least_limit(nodes: int, digest_steps: int, content_bytes: int) -> int:
     """Return the length of a share that holds a content of that length, whatever its mask."""
-    return _HEAD_BYTES + 2 * _digest_bytes(nodes, digest_steps) + content_bytes
+    mask_bytes = -(-nodes * digest_steps // 8)
+    return _HEAD_BYTES + _digest_bytes(nodes, digest_steps, nodes) + mask_bytes + content_bytes
 
 
 def labelled_bytes(record_bytes: int) -> int:
@@ -207,8 +227,20 @@ def labelled_bytes(record_bytes: int) -> int:
     return _LABEL_BYTES + record_bytes
 
 
-def _digest_bytes(nodes: int, digest_steps: int) -> int:
-    return -(-nodes * digest_steps // 8)
+def _digest_bytes(nodes: int, steps: int, sources: _Count) -> _Count:
+    """Length of a digest that holds records of so many sources."""
+    return -(-(nodes + steps * sources) // 8) if steps else 0 * sources
+
+
+def _packed_digest(digest: Sequence[int], nodes: int) -> bytes:
+    if not digest:
+        return b""
+    sources = _bits(reduce(or_, digest))
+    bits = sum(1 << source for source in sources)
+    for age, held in enumerate(digest):
+        for place, source in enumerate(sources):
+            bits |= (held >> source & 1) << nodes + age * len(sources) + place
+    return bits.to_bytes(_digest_bytes(nodes, len(digest), len(sources)), "little")
 
 
 def _bits(digest: int) -> list[int]:

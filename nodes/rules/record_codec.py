@@ -12,8 +12,12 @@ import numpy as np
 
 from concord.nodes.rules.local_filter import Sensor
 
-# Steps of quantisation in a standard deviation of the noise.
+# Steps of quantisation in a standard deviation of the noise, and those of packed numbers.
 _STEPS_PER_DEVIATION = 16
+_PACKED_STEPS = 4
+PACKED = "i12"
+"""Type code of integers of 12 bits; all others are those of numpy."""
+_PACKED_BITS = 12
 
 
 @runtime_checkable
@@ -75,8 +79,9 @@ class RecordCodec:
     """How the readings (r, d) of a node at a step are written.
 
     The first `channels` of d entries are what the node measures; `padding` more, for which others
-    have sensors, are always NaN and not written. `number` is a numpy type code; with an integer one
-    an entry is a multiple of its `resolution` (channels,), and the least integer stands for NaN.
+    have sensors, are always NaN and not written. `number` is a numpy type code or `PACKED`; with an
+    integer one an entry is a multiple of its `resolution` (channels,), and the least integer stands
+    for NaN.
     """
 
     readings: int
@@ -104,7 +109,7 @@ class RecordCodec:
         if not taken.any():
             return None
         mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
-        return mask + entries[taken].astype(self.number).tobytes()
+        return mask + self._written(entries[taken])
 
     def received(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the readings (..., r, d) that readers of the record get: NaN if not written.
@@ -113,7 +118,7 @@ class RecordCodec:
         """
         entries, taken = self._entries(delivered)
         found = np.full(delivered.shape, np.nan)
-        data = np.where(taken[..., None], entries, 0).astype(self.number)
+        data = np.where(taken[..., None], entries, 0).astype(self._array_type)
         found[..., : self.channels] = np.where(taken[..., None], self._values(data), np.nan)
         count = np.asarray(taken.sum(axis=-1))
         return found, np.where(count > 0, self._mask_bytes + count * self._reading_bytes, 0)
@@ -123,7 +128,7 @@ class RecordCodec:
         delivered = delivered[..., : self.channels]
         if self.resolution is None:
             return delivered, np.asarray(~np.isnan(delivered).all(axis=-1))
-        most = np.iinfo(self.number).max
+        most = self._most
         codes = np.round(delivered / self.resolution)
         entries = np.where(np.abs(codes) <= most, codes, -most - 1)
         return entries, np.asarray((entries >= -most).any(axis=-1))
@@ -133,19 +138,18 @@ class RecordCodec:
         values = data.astype(np.float64)
         if self.resolution is None:
             return values
-        return np.where(data == np.iinfo(self.number).min, np.nan, values) * self.resolution
+        return np.where(data < -self._most, np.nan, values) * self.resolution
 
     def beyond(self, delivered: np.ndarray) -> np.ndarray:
         """How many entries of readings (..., r, d) no integer can say, (...)."""
         if self.resolution is None:
             return np.zeros(delivered.shape[:-2], dtype=np.int64)
         codes = np.abs(np.round(delivered[..., : self.channels] / self.resolution))
-        return (codes > np.iinfo(self.number).max).sum(axis=(-1, -2))
+        return (codes > self._most).sum(axis=(-1, -2))
 
     def decode(self, record: bytes) -> np.ndarray:
         """The readings (r, d) that a whole record means."""
-        data = np.frombuffer(record, self.number, offset=self._mask_bytes)
-        values = self._values(data.reshape(-1, self.channels))
+        values = self._values(self._read(record[self._mask_bytes :]))
         if self.readings == 1 and not self.padding:
             return values
         delivered = np.full((self.readings, self.channels + self.padding), np.nan)
@@ -167,12 +171,50 @@ class RecordCodec:
 
     @cached_property
     def _reading_bytes(self) -> int:
-        return self.channels * np.dtype(self.number).itemsize
+        return reading_bytes(self.channels, self.number)
+
+    @cached_property
+    def _array_type(self) -> str:
+        return "<i2" if self.number == PACKED else self.number
+
+    @cached_property
+    def _most(self) -> int:
+        """The greatest integer of a record."""
+        if self.number == PACKED:
+            return 2 ** (_PACKED_BITS - 1) - 1
+        return int(np.iinfo(self.number).max)
+
+    def _written(self, entries: np.ndarray) -> bytes:
+        """The bytes of entries (k, channels)."""
+        data = entries.astype(self._array_type)
+        if self.number != PACKED:
+            return data.tobytes()
+        bits = data[..., None] >> np.arange(_PACKED_BITS) & 1
+        flat = bits.reshape(len(data), -1).astype(np.uint8)
+        return np.packbits(flat, axis=-1, bitorder="little").tobytes()
+
+    def _read(self, data: bytes) -> np.ndarray:
+        """The entries (k, channels) that were written; an inverse of `_written`."""
+        if self.number != PACKED:
+            return np.frombuffer(data, self.number).reshape(-1, self.channels)
+        rows = np.frombuffer(data, np.uint8).reshape(-1, self._reading_bytes)
+        count = self.channels * _PACKED_BITS
+        bits = np.unpackbits(rows, axis=-1, count=count, bitorder="little")
+        codes = bits.reshape(len(rows), self.channels, _PACKED_BITS) @ (
+            1 << np.arange(_PACKED_BITS)
+        )
+        return np.where(codes > self._most, codes - 2**_PACKED_BITS, codes)
 
     def _taken(self, record: bytes) -> np.ndarray:
         """Which of several readings (r,) a record has."""
         mask = np.frombuffer(record[: self._mask_bytes], np.uint8)
         return np.unpackbits(mask, count=self.readings, bitorder="little").astype(bool)
+
+
+def reading_bytes(channels: int, number: str) -> int:
+    """Length of a reading of so many numbers."""
+    bits = _PACKED_BITS if number == PACKED else 8 * np.dtype(number).itemsize
+    return -(-channels * bits // 8)
 
 
 def record_codec(sensor: Sensor | None, shape: tuple[int, int], number: str) -> RecordCodec | None:
@@ -184,15 +226,17 @@ def record_codec(sensor: Sensor | None, shape: tuple[int, int], number: str) -> 
     if sensor is None:
         return None
     readings, delivered = shape
-    whole = "<f4" if np.dtype(number).kind == "i" else number
+    is_integer = number == PACKED or np.dtype(number).kind == "i"
+    whole = "<f4" if is_integer else number
     if not isinstance(sensor, Calibrated):
         return RecordCodec(readings, delivered, whole, None)
     deviation = np.asarray(sensor.noise_std, dtype=float)
     deviation = np.broadcast_to(deviation, deviation.shape or (delivered,))
     channels = len(deviation)
     padding = delivered - channels
-    if np.dtype(number).kind != "i":
+    if not is_integer:
         return RecordCodec(readings, channels, number, None, padding)
     # An entry that there is nothing to measure with is NaN in every reading, whatever its step.
     deviation = np.where(np.isnan(deviation), 1.0, deviation)
-    return RecordCodec(readings, channels, number, deviation / _STEPS_PER_DEVIATION, padding)
+    steps = _PACKED_STEPS if number == PACKED else _STEPS_PER_DEVIATION
+    return RecordCodec(readings, channels, number, deviation / steps, padding)

@@ -114,7 +114,7 @@ class SharedBus(Choice, frozen=True, kw_only=True):
         serves_urgency: the bus itself arbitrates by urgency.
     """
 
-    partial_schedule: ClassVar[str] = "hybrid"
+    partial_schedule: ClassVar[str] = "dynamic"
     serves_urgency: ClassVar[bool] = False
 
 

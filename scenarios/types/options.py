@@ -24,7 +24,7 @@ ASSOCIATION = Literal["jpda", "nearest"]
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
 ARRIVAL = Literal["stamped", "late"]
 NUMBER = Literal["float64", "float32", "float16"]
-RECORD_NUMBER = Literal["int16", "float32", "float64"]
+RECORD_NUMBER = Literal["int12", "int16", "float32", "float64"]
 CHANNELS = Literal["all", "A", "B", "split", "mixed"]
 IDENTIFIERS = Literal["base", "extended"]
 METHOD = Literal["tight", "fast-rate", "fast", "paper"]
@@ -71,7 +71,6 @@ class ScenarioOptions(TypedDict, total=False):
     withhold_below: float
     record_number: RECORD_NUMBER
     smooth_steps: int
-    most_tracks: int
     bid_weights: str
     rounds: int
     bus: FUNCTION
@@ -92,8 +91,6 @@ class ScenarioOptions(TypedDict, total=False):
     retransmissions: int
     filter: FILTER
     iterations: int
-    change: float
-    turn_rate_std: float
     bandwidth: float
     least_noise: float
     most_noise: float
@@ -151,7 +148,6 @@ class SweptOptions(TypedDict, total=False):
     withhold_below: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     smooth_steps: Sequence[int] | np.ndarray | int
-    most_tracks: Sequence[int] | np.ndarray | int
     bid_weights: Sequence[str] | np.ndarray | str
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
@@ -172,8 +168,6 @@ class SweptOptions(TypedDict, total=False):
     retransmissions: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
-    change: Sequence[float] | np.ndarray | float
-    turn_rate_std: Sequence[float] | np.ndarray | float
     bandwidth: Sequence[float] | np.ndarray | float
     least_noise: Sequence[float] | np.ndarray | float
     most_noise: Sequence[float] | np.ndarray | float

@@ -46,7 +46,7 @@ def tracking(tmp_path: Path, capsys) -> Path:
     folder = tmp_path / "run"
     said = concord(
         capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--occupancy", 0.25,
-        "--cluster", "audi", "--steps", 4, "--out", folder, "--json",
+        "--schedule", "hybrid", "--cluster", "audi", "--steps", 4, "--out", folder, "--json",
     )  # fmt: skip
     figures = said.json()["bus"]
     assert figures["cluster"] == "audi" and figures["contenders"] == 10

@@ -25,8 +25,7 @@ MISTAKES = {
 }
 
 
-# The check has no plant with a rate of turn, which imm needs.
-@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "imm"])
+@pytest.mark.parametrize("name", FILTER_SUMMARIES)
 def test_our_filters_keep_each_promise(name: str, capsys: pytest.CaptureFixture[str]):
     for promise in ABOUT_MODELS:
         code, rows = checked(capsys, name, "--promise", promise, "--cases", "30")

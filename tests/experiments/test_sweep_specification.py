@@ -30,7 +30,7 @@ def test_a_part_of_the_bus_asks_for_a_schedule_as_in_a_run():
         cell.values["occupancy"]: cell.scenario.bus.schedule.name
         for cell in cells_of(specify({"occupancy": "1,.5"}))
     }
-    assert schedules == {1.0: "full", 0.5: "hybrid"}
+    assert schedules == {1.0: "full", 0.5: "dynamic"}
 
 
 def test_what_becomes_of_the_network_is_swept_with_semicolons_between_changes():

@@ -29,12 +29,7 @@ from tests.filters.support import (
     turn,
 )
 
-# Beliefs of imm are mixtures: test_interacting_models.py.
-CHOICES = {
-    name_of(one): one
-    for one in get_args(FilterChoice)
-    if name_of(one) in FILTER_SUMMARIES and name_of(one) != "imm"
-}
+CHOICES = {name_of(one): one for one in get_args(FilterChoice) if name_of(one) in FILTER_SUMMARIES}
 
 
 def built(name: str, states: int) -> Filter:

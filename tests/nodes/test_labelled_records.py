@@ -10,13 +10,13 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from concord.nodes.rules.record_codec import RecordCodec, record_codec
+from concord.nodes.rules.record_codec import PACKED, RecordCodec, record_codec
 from concord.nodes.rules.record_sets import packed
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov
 
-NUMBERS = ("<i1", "<i2", "<f4", "<f8")
+NUMBERS = ("<i1", "<i2", PACKED, "<f4", "<f8")
 SENSOR = RangeBearing(np.zeros(2))
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -44,15 +44,16 @@ def test_a_record_says_its_readings_to_half_a_step(number: str, readings: int, s
         return
     assert record is not None and len(record) == codec.length(record) <= codec.size_max
     found = codec.decode(record)
-    step = SENSOR.noise_std / 16 if number.startswith("<i") else np.full(2, 1e-4)
+    step = np.full(2, 1e-4) if codec.resolution is None else codec.resolution
     assert np.array_equal(np.isnan(found), np.isnan(delivered))
     assert (np.abs(np.nan_to_num(found - delivered)) <= step / 2 + 1e-12).all()
     # Each node uses the decoded values: encoding them again changes no bit.
     assert codec.encode(found) == record
 
 
-def test_rounding_has_the_variance_that_everybody_adds():
-    codec = codec_for("<i2")
+@pytest.mark.parametrize("number", ["<i2", PACKED])
+def test_rounding_has_the_variance_that_everybody_adds(number: str):
+    codec = codec_for(number)
     values = SENSOR.noise_std * np.random.default_rng(1).normal(30, 50, (4000, 1, 2))
     errors = np.array([codec.decode(codec.encode(v) or b"")[0] - v[0] for v in values])
     expected = np.diag(codec.rounding_cov)  # type: ignore[arg-type]
@@ -61,15 +62,17 @@ def test_rounding_has_the_variance_that_everybody_adds():
     assert (np.abs((errors**2).mean(0) / expected - 1) < deviation).all()
 
 
-def test_an_entry_beyond_the_integer_is_not_taken():
-    codec = codec_for("<i2")
-    most = 32767 * SENSOR.noise_std[0] / 16
+@pytest.mark.parametrize("number, deviations", [("<i2", 32767 / 16), (PACKED, 2047 / 4)])
+def test_an_entry_beyond_the_integer_is_not_taken(number: str, deviations: float):
+    codec = codec_for(number)
+    assert codec.resolution is not None
+    most = deviations * SENSOR.noise_std[0]
     record = codec.encode(np.array([[most * 1.01, 0.1]]))
     assert codec.beyond(np.array([[most * 1.01, 0.1]])) == 1
     assert codec.beyond(np.array([[most, np.nan]])) == 0
     assert record is not None
     assert np.isnan(codec.decode(record)[0, 0]) and codec.decode(record)[0, 1] == pytest.approx(
-        0.1, abs=SENSOR.noise_std[1] / 32
+        0.1, abs=codec.resolution[1] / 2
     )
     assert codec.encode(np.array([[most * 1.01, np.nan]])) is None
 
@@ -102,7 +105,7 @@ def test_readings_that_mean_something_together_are_not_quantised():
 
 def frames(digest_steps: int, limit_bytes: int = 246) -> LabelledFrameCodec:
     """Five nodes, of which node 3 is blind; node 4 has two readings."""
-    codecs = [codec_for("<i2"), codec_for("<i1"), codec_for("<f8"), None, codec_for("<i2", 2)]
+    codecs = [codec_for("<i2"), codec_for(PACKED), codec_for("<f8"), None, codec_for("<i2", 2)]
     return LabelledFrameCodec(codecs, BeliefCodec(2, "<f4"), 10, digest_steps, limit_bytes)
 
 
@@ -187,15 +190,16 @@ def test_labels_that_nobody_writes_are_refused(source: int, age: int):
 @pytest.mark.parametrize(
     ("digest", "mask", "reason"),
     [
-        (0b100000, b"", "labelled-mask"),  # a sixth of five nodes
-        (0b00011, b"\x04", "labelled-mask"),  # a third record of two
-        (0b00011, b"", "labelled-length"),
-        (0b01000, b"\x01", "labelled-label"),  # of the blind node
+        (b"\xe1", b"", "labelled-mask"),  # source 0 of five is listed, and more bits are set
+        (b"\x01", b"", "labelled-mask"),  # source 0 is listed, and none of its records is held
+        (b"\x63", b"\x04", "labelled-mask"),  # a third record of two
+        (b"\x63", b"", "labelled-length"),
+        (b"\x28", b"\x01", "labelled-label"),  # of the blind node
     ],
 )
-def test_masks_that_no_node_writes_are_refused(digest: int, mask: bytes, reason: str):
+def test_masks_that_no_node_writes_are_refused(digest: bytes, mask: bytes, reason: str):
     with pytest.raises(Rejected, match=reason):
-        frames(1).decode(bytes((0, 0, digest)) + mask)
+        frames(1).decode(bytes((0, 0)) + digest + mask)
 
 
 def test_a_record_of_the_digest_takes_a_bit_for_its_label():

@@ -19,6 +19,7 @@ from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.bus_report import figures_of, lines
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare, share_bytes
@@ -189,6 +190,18 @@ def test_the_dashboard_draws_a_cycle_to_scale(bus: str):
     boxes = re.findall(r'data-node="(\d+)".*?<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', drawn)
     assert {int(node) for node, *_ in boxes} == {one.node for one in cycle.frames}
     assert stage.bus.segments()[0].name in drawn and "STATIC" not in drawn
+
+
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "labelled"])
+@pytest.mark.parametrize(
+    "bus, schedule",
+    [("flexray", "dynamic"), ("can-fd", "dynamic"), ("plca", "round-robin")],
+)
+def test_an_occupancy_alone_takes_the_usual_schedule_of_the_bus(bus: str, schedule: str, rule: str):
+    asked: dict = {"bus": bus, "rule": rule, "occupancy": 0.25}
+    assert scenario_of("target-tracking", **asked).bus.schedule.name == schedule
+    hybrid = scenario_of("target-tracking", **asked, schedule="hybrid")
+    assert hybrid.bus.schedule.name == "hybrid"
 
 
 @pytest.mark.parametrize("bus", TIMED)
