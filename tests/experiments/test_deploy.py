@@ -1,8 +1,10 @@
 """Test that tools accept the files of `deploy/`, and that their commands exist in concord."""
 
 import os
+import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,37 @@ SERVICES = ("concord-router.service", "concord-environment.service", "concord-no
 KUBERNETES = "1.33"
 MOST_EXPOSED = 20
 
+# Connections from one address, from another one, and from the first when one of its own has ended.
+CONNECTIONS = """
+import contextlib, socket
+
+server = socket.create_server(("127.0.0.1", 7447), backlog=500)
+
+
+def entered(address, count):
+    sockets = []
+    for _ in range(count):
+        with contextlib.suppress(ConnectionError):
+            sockets.append(socket.create_connection(("127.0.0.1", 7447), 10, (address, 0)))
+    return sockets
+
+
+one, other = entered("127.0.0.2", 70), entered("127.0.0.3", 1)
+one[0].setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, bytes([1, 0, 0, 0, 0, 0, 0, 0]))
+one[0].close()
+print(len(one), len(other), len(entered("127.0.0.2", 1)))
+"""
+
+
+def _own_network() -> bool:
+    """Return whether a test may have a network namespace with rules of its own."""
+    if not all(shutil.which(program) for program in ("nft", "unshare", "ip")):
+        return False
+    tried = ["unshare", "-rn", "nft", "list", "ruleset"]
+    return subprocess.run(tried, capture_output=True, check=False).returncode == 0
+
+
+OWN_NETWORK = _own_network()
 needs_systemd = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="systemd-analyze comes with systemd"
 )
@@ -72,6 +105,20 @@ def test_units_may_do_little(unit: str, tmp_path: Path):
     threshold = f"--threshold={MOST_EXPOSED}"
     code, said = systemd_analyze("security", "--offline=yes", threshold, here, units=tmp_path)
     assert code == 0, said
+
+
+@pytest.mark.skipif(not OWN_NETWORK, reason="needs nft, and a network namespace of one's own")
+def test_one_address_has_so_many_connections_and_others_still_enter():
+    """In a network namespace: the 64 of one address are taken, one more of it is refused."""
+    rules = DEPLOY / "nftables" / "concord.nft"
+    # Twice: as a service that is started again loads it.
+    load = f"ip link set lo up && nft -f {rules} && nft -f {rules} && exec "
+    words = shlex.join([sys.executable, "-c", CONNECTIONS])
+    done = subprocess.run(
+        ["unshare", "-rn", "sh", "-c", load + words],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == ["64", "1", "1"], done.stderr
 
 
 def test_units_start_in_order_and_come_back_where_that_helps():
