@@ -5,25 +5,31 @@ of `SLURMCluster` makes jobs of PBS. Needs `pip install dask-jobqueue`, and conc
 place on all machines.
 """
 
+import contextlib
 import signal
 import sys
+from typing import Any
 
-from dask_jobqueue import SLURMCluster
+from dask_jobqueue import SLURMCluster  # pyright: ignore[reportPrivateImportUsage]
 
 
 def main(jobs: int) -> None:
     """Start the scheduler and so many jobs; each has four workers of one thread."""
-    with SLURMCluster(
+    # Dask's types say that only an asynchronous cluster is made.
+    made: Any = SLURMCluster(
         cores=4,
         processes=4,
         memory="4GB",
         walltime="04:00:00",
         job_script_prologue=["export OPENBLAS_NUM_THREADS=1"],
-    ) as cluster:
+    )
+    with made as cluster:
         cluster.scale(jobs=jobs)
         sys.stdout.write(f"{cluster.scheduler_address}\n")
         sys.stdout.flush()
-        signal.pause()
+        # Ctrl-C cancels the jobs.
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.pause()
 
 
 if __name__ == "__main__":

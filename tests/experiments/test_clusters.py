@@ -4,6 +4,8 @@ import datetime
 import json
 import os
 import random
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -30,6 +32,19 @@ set -e
 for number in $NUMBERS; do
     SLURM_ARRAY_TASK_ID=$number SLURM_ARRAY_TASK_COUNT=3 SLURM_CPUS_PER_TASK=1 sh "$@"
 done
+"""
+
+
+# As sbatch does for a job: it copies the file, says the number, and runs the copy later.
+SBATCH_OF_ONE = """#!/bin/sh
+cp "$1" job.sh
+echo "Submitted batch job 7"
+setsid sh job.sh > job.log 2>&1 &
+echo $! > job.pid
+"""
+SCANCEL = """#!/bin/sh
+echo "$@" > cancelled
+kill -- -"$(cat job.pid)"
 """
 
 
@@ -115,6 +130,31 @@ def test_the_dask_cluster_of_kubernetes_is_valid_and_computes_a_sweep(tmp_path: 
         for process in processes:
             process.wait(30)
     assert found.computed_pieces == 4 and found.dataset is not None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("setsid") is None, reason="setsid comes with util-linux")
+def test_jobs_of_slurm_are_workers_until_ctrl_c(tmp_path: Path):
+    pytest.importorskip("dask_jobqueue", reason="of the development group")
+    distributed = pytest.importorskip("distributed")
+    environment = stand_in(tmp_path, sbatch=SBATCH_OF_ONE, scancel=SCANCEL)
+    with subprocess.Popen(
+        [sys.executable, DEPLOY / "dask_slurm.py", "1"],
+        env=environment, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as cluster:  # fmt: skip
+        assert cluster.stdout is not None and cluster.stderr is not None
+        try:
+            address = cluster.stdout.readline().strip()
+            assert address.startswith("tcp://"), address
+            with distributed.Client(address, timeout=60) as client:
+                client.wait_for_workers(4, timeout=120)
+            found = finish(begin(specify(ASKED, runs=2), None), connect(address), lambda _: None)
+        finally:
+            cluster.send_signal(signal.SIGINT)
+            said = cluster.stderr.read()
+    assert found.computed_pieces == 4 and found.dataset is not None
+    assert cluster.returncode == 0 and "Traceback" not in said
+    assert (tmp_path / "cancelled").read_text() == "7\n"
 
 
 def _started(words: list[str], more: dict[str, str]) -> subprocess.Popen[bytes]:
