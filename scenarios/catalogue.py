@@ -60,8 +60,9 @@ def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.n
     """
     definition = definition_of(scenario)
     states = list(definition.score.nees_states)
-    believed = cov[..., states, :][..., states] + definition.reference_cov(scenario)
-    return nees(errors[..., states], believed)
+    if states != list(range(errors.shape[-1])):
+        errors, cov = errors[..., states], cov[..., states, :][..., states]
+    return nees(errors, cov + definition.reference_cov(scenario))
 
 
 def definition_named(name: str) -> ScenarioDefinition:

@@ -25,6 +25,7 @@ from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding
 
@@ -136,7 +137,7 @@ def simulate(
     first = 0
     try:
         while first < len(runs):
-            place = slice(first, first + _together(setup))
+            place = slice(first, first + runs_together(setup.scenario))
             collected.take(place, on_progress)
             first = place.stop
     except KeyboardInterrupt:
@@ -144,9 +145,8 @@ def simulate(
     return collected.histories(len(runs))
 
 
-def _together(setup: Setup) -> int:
+def runs_together(scenario: Scenario) -> int:
     """Return how many runs are taken at once."""
-    scenario = setup.scenario
     if without_array_form(scenario) is not None:
         return 1
     lanes = min(LANES, LANE_STEPS // scenario.steps)

@@ -12,7 +12,7 @@ from concord.experiments.monte_carlo.figure_table import FIGURES
 from concord.experiments.monte_carlo.moments import apart, merged, reduced
 from concord.experiments.monte_carlo.run_figures import figures_of
 from concord.experiments.monte_carlo.run_frame import frame_of
-from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.monte_carlo.simulate import runs_together, simulate
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.specification import Cell, Specification
 from concord.runtime.batched.build import without_array_form
@@ -75,7 +75,10 @@ def digest_of(piece: Piece, digests: dict[str, str], by: Origin) -> str:
 def runs_at_once(scenario: Scenario) -> int:
     """Return the number of runs that a piece has at most."""
     largest = LARGEST if without_array_form(scenario) is None else LARGEST_OF_MESSAGES
-    return max(1, largest // (scenario.nodes * scenario.steps))
+    runs = max(1, largest // (scenario.nodes * scenario.steps))
+    # A remainder of few runs would cost nearly as many of numpy's calls as runs taken together.
+    together = runs_together(scenario)
+    return runs - runs % together if runs > together else runs
 
 
 def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece]:
