@@ -1,7 +1,8 @@
 """Deaths and hangs in a network of processes: `python -m tests.endurance.kills`.
 
 The script kills and restarts random nodes of sixteen in lockstep, and stops them for a while in
-real time. It prints the cost to the other nodes, and whether any process or port was left behind.
+real time. In both, it restarts nodes of which a third dies while booting. It prints the cost to the
+other nodes, and whether any process or port was left behind.
 """
 
 import os
@@ -46,6 +47,8 @@ class Options:
     """Kills and restarts in lockstep."""
     hangs: int = 100
     """Stops in real time: short ones, and ones beyond the lease."""
+    boots: int = 100
+    """Restarts in lockstep, and as many in real time; a third of the nodes dies while booting."""
     seed: int = 1
     """Which nodes, when."""
     graph: str = "4-regular"
@@ -189,6 +192,36 @@ def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) ->
     account(network, trace)
 
 
+def die_while_booting(network: Network, count: int, rng: np.random.Generator) -> None:
+    """Kill and restart, one after the other; kill a third of the nodes again while they boot."""
+    client, back_s, killed = network.client, [], 0
+    for number in range(count):
+        node = int(rng.integers(NODES))
+        time.sleep(float(rng.uniform(0, 0.1)))
+        before, killed_s = network.pids[str(node)], time.monotonic()
+        os.kill(before, signal.SIGKILL)
+        network.await_told("gone", node, killed_s)
+        asked_s = time.monotonic()
+        client.command(Restart(node))
+        if number % 3 == 0:
+            while (pid := network.pids.get(str(node), before)) == before:
+                time.sleep(0.002)
+            time.sleep(float(rng.uniform(0, 0.05)))
+            os.kill(pid, signal.SIGKILL)
+            killed += 1
+            # A node that is on its way is not started again before the launcher sees its death.
+            time.sleep(0.5)
+            asked_s = time.monotonic()
+            client.command(Restart(node))
+        back_s.append(network.await_told("joined", node, asked_s))
+    living = sorted(network.pids)
+    left = network.end()
+    trace = network.trace()
+    say(f"{count} restarts, {killed} killed while booting, {NODES} processes")
+    say(f"  back after {spread(back_s)} s; processes at the end {len(living)}; {left}")
+    account(network, trace)
+
+
 def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
     """Median, 99th percentile and largest."""
     return "/".join(f"{q:.{digits}f}" for q in np.quantile(values, [0.5, 0.99, 1.0]))
@@ -248,7 +281,7 @@ def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
 
 
 def main(options: Options) -> None:
-    """Both, one after the other."""
+    """All, one after the other."""
     defaults = definition_named("oscillator").defaults
     wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
     setup = prepare(defaults.with_(**wanted))
@@ -256,6 +289,8 @@ def main(options: Options) -> None:
     plays: list[tuple[int, Tempo | None, Callable]] = [
         (options.kills, None, kill_in_lockstep),
         (options.hangs, tempo_of(setup, None), hang_in_real_time),
+        (options.boots, None, die_while_booting),
+        (options.boots, tempo_of(setup, None), die_while_booting),
     ]
     for count, tempo, play in plays:
         if count:
