@@ -76,6 +76,11 @@ def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("...ij,...j->...i", matrix, vector)
 
 
+def squared_lengths(vectors: np.ndarray) -> np.ndarray:
+    """Sums of squares (...) of vectors (..., n)."""
+    return np.vecdot(vectors, vectors)
+
+
 def times_transposed(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Products L R' (..., n, m) of L (..., n, k) and R (..., m, k), in their order in memory."""
     return np.einsum("...ik,...jk->...ij", left, right)

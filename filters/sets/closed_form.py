@@ -1,7 +1,7 @@
 """The paper's estimator without the terms of the losers: a closed form in one multiplier.
 
 With rho = 0 two multipliers are left, a for the ellipsoid before and (1 - a) / g for the noise. One
-eigendecomposition makes every P(a) diagonal; its trace is convex in a, so Newton's method on one
+eigendecomposition makes every P(a) diagonal; its trace is convex in a, so Halley's method on one
 number ends it. The same guarantee as `recursive_estimator`, some hundred times faster.
 
 Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids after the feedback.
@@ -9,6 +9,7 @@ Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids aft
 
 import numpy as np
 
+from concord.filters.linalg import squared_lengths
 from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.cycle import (
     CycleResult,
@@ -16,14 +17,14 @@ from concord.filters.sets.cycle import (
     check_sizes,
     follow,
     heard,
+    parted,
     radii,
-    shared,
     turned,
     unknowns,
 )
 from concord.filters.sets.ellipsoid import Ellipsoid, replace_lost
 from concord.filters.sets.lifted_cycle import AugmentedCycle
-from concord.filters.sets.rounding import RANK_TOLERANCE, pseudo_inverse, row_units
+from concord.filters.sets.rounding import pseudo_inverse_and_null_space
 
 _ITERATIONS = 60
 _EDGE = 1e-12
@@ -47,64 +48,61 @@ def closed_form_step(
     image, known = unknowns(position, cycle)
     size = image.shape[-1]
     balls = radii(seen, size, samples)
-    uncut = np.sqrt((image**2).sum(-1))
+    uncut = np.sqrt(squared_lengths(image))
     weights = criterion(uncut)[..., None]
-    share = _best_share(weights * image * balls, known * balls, seen)
+    inverse, free = pseudo_inverse_and_null_space(known * balls)
+    share, free = _best_share(weights * (image * balls), free, seen)
     # Any share and any gain would do; with these the trace is least.
-    stretch = shared(share, seen, size, samples)[..., None, :]
+    parts = parted(share, seen, size)
+    stretch = balls / parts
     image, known = image * stretch, known * stretch
-    inverse = pseudo_inverse(known)
+    # The shortest solution of known x = y is any solution less its part in the null space.
+    inverse, free = parts.mT * inverse, parts.mT * free
+    inverse = inverse - free @ (free.mT @ inverse)
     gain = image @ inverse
     gap = np.full(share.shape, np.nan)
     proof = Proof(image - gain @ known, gain, known, inverse, gap, uncut)
     return follow(before, cycle, received, proof, criterion)
 
 
-def _best_share(image: np.ndarray, known: np.ndarray, seen: int) -> np.ndarray:
-    """a (...) in (0, 1) at which the trace of P(a) is least.
+def _best_share(image: np.ndarray, free: np.ndarray, seen: int) -> tuple[np.ndarray, np.ndarray]:
+    """a (...) in (0, 1) at which the trace of P(a) is least, and a basis (..., d, f) of `free`.
 
-    On the null space of what is known P(a) = H (a U + (1 - a) V)^-1 H' with U + V = I.
+    On the null space of what is known P(a) = H (a U + (1 - a) V)^-1 H' with U + V = I. The basis
+    makes a U + (1 - a) V the identity.
     """
-    free = _null_space(known)
     values, vectors = np.linalg.eigh(free[..., :seen, :].mT @ free[..., :seen, :])
     values = np.minimum(np.maximum(values, 0.0), 1.0)
-    sizes = ((image @ free @ vectors) ** 2).sum(-2)
-    return _least_sum(sizes, values)
+    free = free @ vectors
+    share = _least_sum(squared_lengths((image @ free).mT), values)
+    both = share[..., None] * values + (1.0 - share[..., None]) * (1.0 - values)
+    return share, free / np.sqrt(both)[..., None, :]
 
 
 def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """argmin (...) over a in (0, 1) of sum sizes / (a values + (1 - a)(1 - values)), convex.
 
-    Newton's method, halving the interval where it would leave it. It begins at the minimum of the
+    Halley's method, halving the interval where it would leave it. It begins at the minimum of the
     sum in which each term is shared between a value of 0 and one of 1.
     """
     rest, slope = 1.0 - values, 2.0 * values - 1.0
-    ends = np.sqrt((sizes * values).sum(-1)), np.sqrt((sizes * rest).sum(-1))
-    low, high = np.zeros(ends[0].shape), np.ones(ends[0].shape)
+    ends = np.sqrt(np.vecdot(sizes, values)), np.sqrt(np.vecdot(sizes, rest))
+    low, high = np.zeros(()), np.ones(())
     share = np.minimum(np.maximum(ends[0] / (ends[0] + ends[1] + _TINY), _EDGE), 1.0 - _EDGE)
     for _ in range(_ITERATIONS):
         at = rest + share[..., None] * slope
         ratio = slope / at
-        parts = sizes * ratio / at
-        first, second = -parts.sum(-1), 2.0 * (parts * ratio).sum(-1)
+        bent = sizes / at * ratio
+        first, second = -bent.sum(-1), 2.0 * np.vecdot(bent, ratio)
+        third = -6.0 * np.vecdot(bent * ratio, ratio)
+        bend = second - 0.5 * first * third / np.maximum(second, _TINY)
         low, high = np.where(first < 0, share, low), np.where(first > 0, share, high)
-        following = share - first / np.maximum(second, _TINY)
+        following = share - first / np.maximum(bend, _TINY)
         inside = (following > low) & (following < high)
         following = np.where(inside, following, 0.5 * (low + high))
         change = np.abs(following - share)
         share = np.minimum(np.maximum(following, _EDGE), 1.0 - _EDGE)
-        # The step squares the error, and the trace, which is flat there, squares it once more.
-        if (change <= 1e-3 * share * (1.0 - share)).all():
+        # The step cubes the error, and the trace, which is flat there, squares it once more.
+        if (change <= 3e-2 * share * (1.0 - share)).all():
             break
     return share
-
-
-def _null_space(matrix: np.ndarray) -> np.ndarray:
-    """Columns (..., d, f) that span the null space of matrix (..., m, d); zero columns fill up."""
-    _, singular, rows = np.linalg.svd(matrix / row_units(matrix)[..., None], full_matrices=True)
-    strongest = singular.max(-1, keepdims=True, initial=0.0)
-    # Singular values descend: what is known comes first.
-    cuts = (singular > RANK_TOLERANCE * strongest).sum(-1)
-    fewest = int(cuts.min(initial=matrix.shape[-2]))
-    free = np.arange(fewest, rows.shape[-1]) >= cuts[..., None]
-    return rows[..., fewest:, :].mT * free[..., None, :]

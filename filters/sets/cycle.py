@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.lanes import join_columns
-from concord.filters.linalg import multiply
+from concord.filters.linalg import multiply, squared_lengths
 from concord.filters.sets.criterion import Criterion
 from concord.filters.sets.ellipsoid import (
     Ellipsoid,
@@ -145,17 +145,19 @@ def follow(
     of_outputs, margin = _rounding(before, cycle, received, proof.gain)
     after = grow(Ellipsoid(centre, proof.factor), margin, criterion, proof.uncut)
     lost = is_lost(after) | _contradicts(proof, innovation, of_outputs)
+    if not lost.any():
+        return CycleResult(after, proof.gain, proof.gap)
     return CycleResult(lose(after, lost), proof.gain, np.where(lost, np.nan, proof.gap))
 
 
-def shared(share: np.ndarray, seen: int, size: int, samples: int) -> np.ndarray:
-    """Factors (..., size) that make every possible (u, v) at most 1 long.
+def parted(share: np.ndarray, seen: int, size: int) -> np.ndarray:
+    """Factors (..., 1, size) that make every (u, v) at most 1 long that is within its `radii`.
 
     share: a (...) of u, the first `seen` entries; the g samples v, all in their balls, have 1 - a.
     """
     first = np.arange(size) < seen
-    parts = np.where(first, share[..., None], 1.0 - share[..., None])
-    return radii(seen, size, samples) / np.sqrt(parts)
+    share = share[..., None, None]
+    return np.sqrt(np.where(first, share, 1.0 - share))
 
 
 def radii(seen: int, size: int, samples: int) -> np.ndarray:
@@ -194,13 +196,13 @@ def _rounding(
 def _contradicts(proof: Proof, innovation: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Whether (...) no theta at most 1 long explains an innovation (..., m) to within an error."""
     shortest = multiply(proof.seen, innovation)
-    slack = np.sqrt((multiply(np.abs(proof.seen), error) ** 2).sum(-1))
-    too_long = np.sqrt((shortest**2).sum(-1)) > 1.0 + slack + RANK_TOLERANCE
+    slack = np.sqrt(squared_lengths(multiply(np.abs(proof.seen), error)))
+    too_long = np.sqrt(squared_lengths(shortest)) > 1.0 + slack + RANK_TOLERANCE
     # The part that no theta reaches, however long, is left over.
     units = row_units(proof.known)
     seen = (proof.known != 0.0).any(-1)
     left = np.abs(innovation - multiply(proof.known, shortest)) / units
     allowed = np.where(seen, error / units, 0.0)
-    allowed = np.sqrt((allowed**2).sum(-1, keepdims=True)) + RANK_TOLERANCE * left.shape[-1]
+    allowed = np.sqrt(squared_lengths(allowed))[..., None] + RANK_TOLERANCE * left.shape[-1]
     beside = np.where(seen, left > 2.0 * allowed, np.abs(innovation) > error)
     return np.asarray(too_long | beside.any(-1))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.lanes import join_columns
-from concord.filters.linalg import multiply
+from concord.filters.linalg import multiply, squared_lengths
 from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.rounding import magnitudes, rounding_bound, row_units
 
@@ -47,7 +47,7 @@ def shape_matrix(ellipsoid: Ellipsoid) -> np.ndarray:
 
 def half_widths(ellipsoid: Ellipsoid) -> np.ndarray:
     """Largest distance (..., n) from the centre along each axis: the roots of P's diagonal."""
-    return np.sqrt((ellipsoid.factor**2).sum(-1))
+    return np.sqrt(squared_lengths(ellipsoid.factor))
 
 
 def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
@@ -113,9 +113,9 @@ def sum_factor(
     the smallest trace (Kurzhanski and Valyi (1997), Ellipsoidal calculus, section 2.2). The weights
     of the trace are those of the root of the squared half-widths of both.
     """
-    widths = [np.sqrt((factor**2).sum(-1)) for factor in (first, second)]
+    widths = [np.sqrt(squared_lengths(factor)) for factor in (first, second)]
     weights = criterion(np.hypot(*widths))
-    sizes = [np.sqrt(((weights * width) ** 2).sum(-1))[..., None, None] for width in widths]
+    sizes = [np.sqrt(squared_lengths(weights * width))[..., None, None] for width in widths]
     total = sizes[0] + sizes[1]
     # A point has size zero and takes no share.
     shares = [
@@ -163,14 +163,13 @@ def grow(
     """
     widths = half_widths(ellipsoid)
     weights = criterion(np.maximum(uncut, widths) + margin / _MOST_SHARE)
-    parts = weights * margin
-    whole = np.sqrt(((weights * widths) ** 2).sum(-1)) + parts.sum(-1)
-    share = np.divide(parts, whole[..., None], out=np.zeros_like(parts), where=parts > 0.0)
-    along = np.divide(margin, np.sqrt(share), out=np.zeros_like(parts), where=share > 0.0)
+    box = np.vecdot(weights, margin)
+    whole = np.sqrt(squared_lengths(weights * widths)) + box
+    # m_i / root of q_i. Roots of both factors, as the product of small ones underflows.
+    along = np.sqrt(margin) * np.sqrt(whole[..., None] / weights)
     columns = join_columns(ellipsoid.factor, along[..., None] * np.eye(margin.shape[-1]))
-    return Ellipsoid(
-        ellipsoid.centre, squared(np.sqrt(1.0 + share.sum(-1))[..., None, None] * columns)
-    )
+    growth = np.sqrt(1.0 + box / np.where(whole > 0.0, whole, 1.0))
+    return Ellipsoid(ellipsoid.centre, squared(growth[..., None, None] * columns))
 
 
 def squared(factor: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ those before the cycle.
 import numpy as np
 
 from concord.filters.lanes import join_columns, join_stacks
-from concord.filters.linalg import multiply
+from concord.filters.linalg import multiply, squared_lengths
 from concord.filters.sets.criterion import Criterion, unit_free
 from concord.filters.sets.cycle import (
     CycleResult,
@@ -23,7 +23,8 @@ from concord.filters.sets.cycle import (
     flat,
     follow,
     heard,
-    shared,
+    parted,
+    radii,
     turned,
     unknowns,
 )
@@ -63,8 +64,9 @@ def optimal_step(
     parts = bound.multipliers[..., 0], (1 if samples_apart else samples) * of_noise
     share = parts[0] / (parts[0] + parts[1])
     known = asked.known[..., 1:]
-    known = known * shared(share, seen, known.shape[-1], samples)[..., None, :]
-    uncut = np.sqrt((asked.image**2).sum(-1))
+    size = known.shape[-1]
+    known = known * (radii(seen, size, samples) / parted(share, seen, size))
+    uncut = np.sqrt(squared_lengths(asked.image))
     proof = Proof(bound.factor, bound.gain, known, pseudo_inverse(known), bound.gap, uncut)
     return follow(before, cycle, received, proof, criterion)
 

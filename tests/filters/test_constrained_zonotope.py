@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
@@ -41,6 +41,7 @@ def holds(one: ConstrainedZonotope, truth: np.ndarray) -> bool:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=SEEDS, of=sizes(), generators=st.integers(1, 30), constraints=st.integers(0, 12))
+@example(seed=1837, of=Sizes(2, 4, 4, 1), generators=5, constraints=7)
 def test_every_set_holds_the_truth(seed: int, of: Sizes, generators: int, constraints: int):
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, of, steps=20)
