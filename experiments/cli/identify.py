@@ -18,6 +18,7 @@ from concord.experiments.places import make_folder
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.user_errors import user_errors
 from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.corrections import with_true_wheels
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import (
     CAR,
@@ -41,6 +42,8 @@ from concord.topology.names import unknown_name
 
 _TYRES = {"linear": linear_tyre, "saturating": tanh_tyre}
 _SIMULATED_STEP_S = 0.01
+_GROWN = 10.0
+"""A noise that is found so many times as large as in the file may hide an error of another kind."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +183,8 @@ class _Given(NamedTuple):
 
 def _read(folder: Path) -> _Given:
     channels, car = read_log(folder)
-    return _Given(even_drive(channels, MODEL_STEP_S), channels, car)
+    true = with_true_wheels(channels, car.sensors)
+    return _Given(even_drive(true, MODEL_STEP_S), channels, car)
 
 
 def _drive(options: IdentifyOptions) -> _Given:
@@ -320,6 +324,13 @@ def _in_words(f: Findings) -> Iterator[str]:
     small = [one.name for one in f.parameters if one.high is not None and not one.seen]
     if small:
         yield f"Too small to see, below a bound: {', '.join(small)}."
+    for one in f.parameters:
+        if one.name.startswith("noise of ") and one.seen and one.found >= _GROWN * one.before:
+            yield (
+                f"The {one.name} is {one.found / one.before:.2g} times that of the file. It may "
+                "hold an error that is no noise: a unit or scale in columns.toml, a wrong stamp, a "
+                "sensor that fails at times. A NIS near 1 does not rule that out."
+            )
     low, high = f.nis_interval
     yield (
         f"NIS of the filter that hears everything: {f.nis_before:.3g} before, {f.nis_after:.3g} "

@@ -47,6 +47,7 @@ _SHARED_DELAYS = {
 }
 """Sensors that share a delay."""
 _ARM_M, _DELAY_S, _FRICTION, _RATIO, _NOISE, _PROCESS_NOISE = 1.0, 0.05, 0.3, 0.2, 1.5, 2.0
+_SCALE = 0.05
 _PROCESS = {
     "yaw_rate_rad_s": "rad/s/√s",
     "side_slip_rad": "rad/√s",
@@ -117,6 +118,10 @@ def sought_of(
         if sensor in sensors:
             path = ("sensors", f"{name.replace(' ', '_')}_ahead_m")
             found.append(Sought(f"{name} ahead of the centre", "m", path, _ARM_M, False))
+    # Without a speed over ground, wheels that read too much look like a car that is faster.
+    if "wheel_speed" in sensors and {"ground_speed", "position"} & set(sensors):
+        path = ("sensors", "wheel_speed_scale")
+        found.append(Sought("scale of wheel speed", "", path, _SCALE, True))
     for sensor in sensors:
         name, path, unit = sensor.replace("_", " "), ("sensors", sensor), _UNITS[sensor]
         found.append(Sought(f"noise of {name}", unit, (*path, "noise"), _NOISE, True))

@@ -37,6 +37,17 @@ def corrected(
     return found
 
 
+def with_true_wheels(
+    channels: Mapping[str, ChannelReadings], sheets: SensorSheets
+) -> dict[str, ChannelReadings]:
+    """Channels with wheel speeds over their scale."""
+    scale = sheets.wheel_speed_scale
+    return {
+        name: one._replace(values=one.values / scale) if name.endswith("_wheel") else one
+        for name, one in channels.items()
+    }
+
+
 def stamped(
     channels: Mapping[str, ChannelReadings], sheets: SensorSheets
 ) -> dict[str, ChannelReadings]:
@@ -60,7 +71,7 @@ def _slip_at_centre(
     read = slip.values - sheets.side_slip.offset
     if not ahead:
         return slip._replace(values=read)
-    turning = channels["yaw_rate"]
+    turning, channels = channels["yaw_rate"], with_true_wheels(channels, sheets)
     speeds = [one for name, one in channels.items() if name == "speed" or name.endswith("_wheel")]
     yaw_rate = np.interp(slip.stamps_s, turning.stamps_s, turning.values)
     each = [np.interp(slip.stamps_s, one.stamps_s, one.values) for one in speeds if len(one.values)]

@@ -140,10 +140,12 @@ def sensor(node: int, single_track: SingleTrack, positioned: bool = False) -> Ca
     """Return the sensor of one of `NODES`; if `positioned`, satellites tell the place."""
 
     car, sheets = single_track.car, single_track.car.sensors
+    scale = sheets.wheel_speed_scale
 
     def rear_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.rear_track_m * state[..., YAW_RATE]
-        return np.stack([state[..., SPEED] - side, state[..., SPEED] + side], axis=-1)
+        along = [scale * (state[..., SPEED] + way * side) for way in (-1.0, 1.0)]
+        return np.stack(along, axis=-1)
 
     def front_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.front_track_m * state[..., YAW_RATE]
@@ -151,7 +153,7 @@ def sensor(node: int, single_track: SingleTrack, positioned: bool = False) -> Ca
         across = across + car.front_axle_m * state[..., YAW_RATE]
         cosine, sine = np.cos(state[..., STEERING]), np.sin(state[..., STEERING])
         along = [(state[..., SPEED] + way * side) * cosine + across * sine for way in (-1.0, 1.0)]
-        return np.stack(along, axis=-1)
+        return np.stack([scale * one for one in along], axis=-1)
 
     def inertial(state: np.ndarray) -> np.ndarray:
         ahead, yaw_rate = sheets.accelerometer_ahead_m, state[..., YAW_RATE]

@@ -82,6 +82,8 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         accelerometer_ahead_m: of the centre of mass, along the car.
         slip_sensor_ahead_m, antenna_ahead_m: likewise of the optical sensor, and of the antenna
             for satellites.
+        wheel_speed_scale: a logged wheel speed over the true one. It is the radius that the log
+            was written with over the effective radius of the tyre.
     """
 
     wheel_speed: SensorSheet = SensorSheet(noise=0.1)
@@ -96,6 +98,7 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     accelerometer_ahead_m: float = 0.0
     slip_sensor_ahead_m: float = 0.0
     antenna_ahead_m: float = 0.0
+    wheel_speed_scale: float = 1.0
 
     def __post_init__(self) -> None:
         _require_positive("sensors", self, signed=_PLACES)

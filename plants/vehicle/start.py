@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.plants.angles import wrapped
 from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.corrections import with_true_wheels
 from concord.plants.vehicle.drive_log import POSITION_CHANNELS, speeds_in
 from concord.plants.vehicle.network import (
     HEADING,
@@ -43,6 +44,7 @@ def start_of(channels: Mapping[str, ChannelReadings], sheets: SensorSheets) -> F
         ValueError: the course does not count from the x axis of the positions.
     """
     mean, std = np.zeros(len(STATE_NAMES)), np.array(PRIOR_STD)
+    channels = with_true_wheels(channels, sheets)
     told = {
         YAW_RATE: ("yaw_rate",),
         SPEED: speeds_in(channels),

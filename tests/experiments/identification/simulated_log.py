@@ -99,7 +99,8 @@ def _wheels(x: np.ndarray, car: Car) -> np.ndarray:
     across = x[:, 2] * np.tan(x[:, 1]) + car.front_axle_m * x[:, 0]
     sides = [x[:, 2] + way * 0.5 * car.front_track_m * x[:, 0] for way in (-1, 1)]
     front = [along * np.cos(x[:, 4]) + across * np.sin(x[:, 4]) for along in sides]
-    return np.stack([*front, *2 * [np.full(len(x), np.nan)]], axis=-1)
+    read = [car.sensors.wheel_speed_scale * one for one in front]
+    return np.stack([*read, *2 * [np.full(len(x), np.nan)]], axis=-1)
 
 
 _OF_STATE = {
