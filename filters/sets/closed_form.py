@@ -95,7 +95,9 @@ def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
         bent = sizes / at * ratio
         first, second = -bent.sum(-1), 2.0 * np.vecdot(bent, ratio)
         third = -6.0 * np.vecdot(bent * ratio, ratio)
+        # Where terms of unlike slopes meet, Halley's bend may be negative; a term alone has 1/4.
         bend = second - 0.5 * first * third / np.maximum(second, _TINY)
+        bend = np.maximum(bend, 0.25 * second)
         low, high = np.where(first < 0, share, low), np.where(first > 0, share, high)
         following = share - first / np.maximum(bend, _TINY)
         inside = (following > low) & (following < high)
