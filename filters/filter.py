@@ -5,7 +5,8 @@ fields are its settings, and equal arguments give equal bits. A lane that fails 
 alone. The memory of a filter that learns is a value too, kept by the caller beside the belief.
 """
 
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from functools import lru_cache
+from typing import NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
@@ -78,6 +79,35 @@ class LearningFilter(Filter, Protocol[Memory]):
         Entries that are NaN teach nothing. `noise_cov` is the noise of the data sheet.
         """
         ...
+
+
+@runtime_checkable
+class MixtureFilter(Filter, Protocol):
+    """A filter whose beliefs are mixtures, each written as one Gaussian of more states."""
+
+    def begun(self, belief: Gaussian, /) -> Gaussian:
+        """The mixture that a belief (..., n) begins."""
+        ...
+
+    def moments(self, belief: Gaussian, /) -> Gaussian:
+        """Mean (..., n) and covariance (..., n, n) of a mixture."""
+        ...
+
+
+@lru_cache
+def _is_mixture(kind: type) -> bool:
+    # Kept: to ask a protocol takes longer than to predict.
+    return issubclass(kind, MixtureFilter)
+
+
+def begun(filter: Filter, belief: Gaussian) -> Gaussian:
+    """The belief of a filter that begins with this one (..., n)."""
+    return cast(MixtureFilter, filter).begun(belief) if _is_mixture(type(filter)) else belief
+
+
+def moments(filter: Filter, belief: Gaussian) -> Gaussian:
+    """Mean (..., n) and covariance (..., n, n) of a belief of a filter."""
+    return cast(MixtureFilter, filter).moments(belief) if _is_mixture(type(filter)) else belief
 
 
 class Affine(NamedTuple):

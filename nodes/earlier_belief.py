@@ -4,7 +4,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from concord.filters.filter import Filter
+from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.local_filter import Model, at, predict_to_step
 from concord.nodes.rules.set_membership import BoundedModel
@@ -23,11 +23,11 @@ class EarlierBelief(NamedTuple):
 
         The control of the steps between is not known: the last one is taken for each of them.
         """
-        beliefs = Gaussian(self.belief.mean[None], self.belief.cov[None])
+        beliefs = begun(filter, Gaussian(self.belief.mean[None], self.belief.cov[None]))
         for number in range(self.step + 1, step + 1):
             moved, sound = predict_to_step(beliefs, self.control, number, model, filter)
             beliefs = moved if sound[0] else beliefs
-        return at(beliefs, 0)
+        return at(moments(filter, beliefs), 0)
 
     def set_at_step(self, step: int, model: Model) -> Gaussian:
         """Carry the belief, which is a set, to a step under all noise within its bound.

@@ -41,7 +41,7 @@ class VectorCodec:
 
     @cached_property
     def _numbers(self) -> struct.Struct:
-        return struct.Struct(f"<{self.length}{self._dtype.char}")
+        return struct.Struct(f"<{self.size // self._dtype.itemsize}{self._dtype.char}")
 
     def encode(self, vector: np.ndarray) -> bytes:
         """The bytes of a vector (length,)."""

@@ -13,6 +13,8 @@ import numpy as np
 
 from concord.plants.checks import require_positive
 
+TURN_RATE = 4
+"""Place of the rate of turn in the state of `CoordinatedTurn`."""
 _RATE_FLOOR_RAD_S = 1e-6
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import Backward, smooth, smooth_with_lags
 from concord.nodes.rules.local_filter import (
@@ -33,10 +34,20 @@ from concord.scenarios.setup import Setup
 
 
 class BaselineContent(NamedTuple):
-    """The belief of a baseline, and what its filter has learnt, one entry for each sensor."""
+    """The belief of a baseline, what its filter has learnt, one entry for each sensor, and the
+    belief as its filter has it, after a first step."""
 
     belief: Gaussian
     memory: tuple[Memory | None, ...] = ()
+    kept: Gaussian | None = None
+
+    def before(self, filter: Filter) -> Gaussian:
+        """The belief as this filter has it."""
+        return begun(filter, self.belief) if self.kept is None else self.kept
+
+
+def _after(filter: Filter, belief: Gaussian, memory: tuple[Memory | None, ...]) -> BaselineContent:
+    return BaselineContent(moments(filter, belief), memory, belief)
 
 
 BaselineStep = Callable[[BaselineContent, int, np.ndarray, np.ndarray | None], BaselineContent]
@@ -150,11 +161,11 @@ def _all_alone(
     def advance(
         content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
     ) -> BaselineContent:
-        belief = content.belief
+        belief = content.before(filters.filter)
         if step > 0:
             belief, _ = filters.predict(belief, driven, step)
         found = filters.update(belief, delivered, step, content.memory)
-        return BaselineContent(found.belief, found.memory)
+        return _after(filters.filter, found.belief, found.memory)
 
     prior = priors_of_runs(setup, runs)
     shape = (len(runs), scenario.nodes)
@@ -257,7 +268,8 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     def advance(
         content: BaselineContent, step: int, delivered: np.ndarray, driven: np.ndarray | None
     ) -> BaselineContent:
-        belief, before = content.belief, content.memory or (None,) * len(sensors)
+        belief = content.before(own_filter)
+        before = content.memory or (None,) * len(sensors)
         memory: tuple[Memory | None, ...] = ()
         if step > 0:
             moved, sound = predict_to_step(belief, driven, step, model, own_filter)
@@ -268,6 +280,6 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
                 belief, readings, step, sensor, own_filter, known
             )
             memory += learnt
-        return BaselineContent(belief, memory)
+        return _after(own_filter, belief, memory)
 
     return advance

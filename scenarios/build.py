@@ -21,7 +21,7 @@ from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.control import control_node
 from concord.scenarios.equipment import build_faults, spread_of
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filters import build_filter, models_of
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
@@ -108,7 +108,7 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> AnyEs
         return definition.wiring.estimator(setup, node, bus, beginning)
     context = NodeContext(
         node,
-        rule_context(setup),
+        rule_context(setup, any(node in row for row in bus.schedule.contender_table)),
         weights=np.array(setup.weights[node]),
         model=definition.model(scenario),
         sensor=definition.sensor(scenario, node),
@@ -128,8 +128,8 @@ def filter_of(setup: Setup) -> Filter:
     return build_filter(scenario.filter, len(setup.prior_mean), own)
 
 
-def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
-    """Return the context of a setup's rule."""
+def rule_context(setup: Setup, contends: bool) -> RuleContext:
+    """Return the context of a setup's rule at nodes that ask for dynamic slots, or do not."""
     scenario = setup.scenario
     return RuleContext(
         len(setup.prior_mean),
@@ -139,6 +139,7 @@ def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
         wire_number(scenario),
         scenario.rule,
         contends,
+        models_of(scenario.filter),
     )
 
 

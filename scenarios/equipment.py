@@ -8,9 +8,11 @@ import numpy as np
 from concord.bus.bus import Bus
 from concord.bus.clocks import KeepsClocks
 from concord.bus.retransmissions import retransmits
+from concord.filters.interacting_models import stacked_size
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import Equipment, Faults
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.filters import models_of
 from concord.scenarios.rules import rule_of, wire_number
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -45,9 +47,9 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         rule = rule_of(scenario)
         number = "" if rule.share is None else wire_number(scenario)
         if rule.share is not None and rule.shares_beliefs:
-            states = len(setup.prior_mean)
-            form = rule.share.codec(number, states, scenario.nodes).form
-            codec = BeliefCodec(states, number, form)
+            states, models = len(setup.prior_mean), models_of(scenario.filter)
+            form = rule.share.codec(number, states, scenario.nodes, models).form
+            codec = BeliefCodec(stacked_size(states, models), number, form)
     clocks, sync = None, ()
     if isinstance(bus, KeepsClocks):
         clocks, sync = partial(bus.clock_errors, scenario.nodes), bus.sync_nodes

@@ -17,6 +17,7 @@ from concord.filters.fusion import (
 from concord.filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
 from concord.filters.fusion.trimmed import trimmed_intersection
 from concord.filters.gaussian import Gaussian
+from concord.filters.interacting_models import stacked_size
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.batch import AveragesInBatch, InBatch
 from concord.nodes.lanes.beliefs import BatchedBeliefs
@@ -55,7 +56,8 @@ NodeRule = TypeVar("NodeRule", bound=AtNode)
 
 def averaging(rule: Averaged, context: RuleContext) -> AnyRule:
     """For rules that average beliefs, fresh ones and held ones."""
-    return BeliefConsensus(rule, context.hold, context.states, context.trigger, context.contends)
+    size = stacked_size(context.states, context.models)
+    return BeliefConsensus(rule, context.hold, size, context.trigger, context.contends)
 
 
 def trimmed(context: RuleContext) -> AnyRule:
@@ -109,7 +111,7 @@ def pulled(context: RuleContext) -> AnyRule:
 
 
 def _codec(share: ShareKind, context: RuleContext) -> VectorCodec:
-    return share.codec(context.number, context.states, len(context.neighbours))
+    return share.codec(context.number, context.states, len(context.neighbours), context.models)
 
 
 # --- at one node ---------------------------------------------------------------------------------

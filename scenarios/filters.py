@@ -14,18 +14,22 @@ from concord.filters.dual_layer import DualLayerFilter
 from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
+from concord.filters.interacting_models import InteractingModels, Mode
 from concord.filters.iterated import IteratedFilter
 from concord.filters.linalg import cholesky
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 from concord.filters.square_root_filter import SquareRootFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
+from concord.plants.motion import TURN_RATE, CoordinatedTurn
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import (
     AdaptiveDualLayer,
     AdaptiveUnscented,
     CubatureFilter,
     FilterBase,
     FuzzyUnscented,
+    InteractingMultipleModels,
     IteratedTangentFilter,
     LinearFilter,
     MaximumCorrentropy,
@@ -39,6 +43,7 @@ from concord.scenarios.types.filters import (
     UnscentedFilter,
     UserFilter,
 )
+from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.values import ValueSource, value_of
 
 # Affine functions pass through three points on a line to so many roundings of the values.
@@ -55,12 +60,14 @@ class FilterEntry(NamedTuple):
         linear: serves only plants and sensors that are linear.
         singular: takes covariances without an inverse.
         robust: departs from the Kalman filter on linear models, on purpose.
+        models: number of models of a belief.
     """
 
     build: Callable[[Any, SigmaPointRule], Filter]
     linear: bool = False
     singular: bool = False
     robust: bool = False
+    models: int = 1
 
 
 def _bounds(choice: NoiseLearningFilter) -> Bounds:
@@ -73,6 +80,14 @@ def _sage_husa(choice: SageHusaBase) -> SageHusa:
 
 def _fuzzy(choice: FuzzyUnscented) -> FuzzyMatching:
     return FuzzyMatching(choice.innovations, _bounds(choice))
+
+
+def _straight_and_turning(
+    choice: InteractingMultipleModels, points: SigmaPointRule
+) -> InteractingModels:
+    states = points.unit_points.shape[1]
+    straight = Mode(held=(TURN_RATE,), std=choice.turn_rate_std)
+    return InteractingModels(SigmaPointFilter(points), states, (straight, Mode()), choice.change)
 
 
 _FILTERS: dict[type[FilterBase], FilterEntry] = {
@@ -94,6 +109,7 @@ _FILTERS: dict[type[FilterBase], FilterEntry] = {
     IteratedTangentFilter: FilterEntry(
         lambda choice, _: IteratedFilter(ExtendedFilter(), choice.iterations), singular=True
     ),
+    InteractingMultipleModels: FilterEntry(_straight_and_turning, models=2),
     MaximumCorrentropy: FilterEntry(
         lambda choice, points: CorrentropyFilter(points, choice.bandwidth, choice.iterations),
         robust=True,
@@ -134,6 +150,27 @@ def build_filter(choice: FilterBase, states: int, points: SigmaPointRule | None 
     return entry_of(choice).build(choice, points or scaled_unscented(states))
 
 
+def models_of(choice: FilterBase) -> int:
+    """The number of models of a belief of a filter."""
+    entry = _FILTERS.get(type(choice))
+    return 1 if entry is None else entry.models
+
+
+def check_shares(scenario: Scenario, are_beliefs: bool) -> None:
+    """Refuse a filter of several models where shares do not carry the belief of each.
+
+    Raises:
+        ValueError: naming the rule, the filter and the cure.
+    """
+    is_rounded = number_of(scenario.rule) == "float16"
+    if models_of(scenario.filter) > 1 and (is_rounded or not are_beliefs):
+        raise ValueError(
+            f"rule {scenario.rule.name} with --filter {scenario.filter.name}: its shares must "
+            "carry the belief of each model, as float64 or float32; use rule ci, wac or local, and "
+            "leave --number out, or use --filter ukf"
+        )
+
+
 def learns(choice: FilterBase) -> bool:
     """Whether a filter learns from the readings of a node."""
     if isinstance(choice, UserFilter):
@@ -169,6 +206,11 @@ def check_models(
         ValueError: naming the filter, what is not linear or singular, and the cure.
     """
     entry = entry_of(choice)
+    if entry.models > 1 and not isinstance(model, CoordinatedTurn):
+        raise ValueError(
+            f"--filter {choice.name}: its models are a straight course and a turn, and the plant "
+            "has no rate of turn; use --scenario target-tracking, or --filter ukf"
+        )
     build_filter(choice, len(prior.mean))
     if entry.linear:
         _require_linear(choice, prior, model, groups)

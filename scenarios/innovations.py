@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.local_filter import (
@@ -89,7 +90,9 @@ class InnovationFilters:
         `before` (R, N, n) are the nodes' estimates of the step before, or their priors at step 0;
         control (R, p) drove the plant into the step.
         """
-        belief = before if step == 0 else self.filters.predict(before, control, step)[0]
+        belief = begun(self.filters.filter, before)
+        if step > 0:
+            belief, _ = self.filters.predict(belief, control, step)
         found, memories = self._nothing(readings), []
         groups = self.filters.groups
         for group, memory in zip(groups, learnt or (None,) * len(groups), strict=True):
@@ -236,14 +239,15 @@ def innovations_of_all(
     filters = innovation_filters(setup, readings.shape[-2:])
     if filters is None:
         return None
-    belief, learnt = priors_of_runs(setup, runs), ()
+    own_filter = filters.filters.filter
+    belief, learnt = begun(own_filter, priors_of_runs(setup, runs)), ()
     beliefs, found = [], []
     for step in range(readings.shape[1]):
         now, learnt = filters.of_all(
             belief, readings[:, step], driven_into(control, step), step, learnt
         )
         belief = now.belief
-        beliefs.append(belief)
+        beliefs.append(moments(own_filter, belief))
         found.append(now.innovations)
     history = Gaussian(
         np.stack([one.mean for one in beliefs], axis=1),

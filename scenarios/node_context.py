@@ -45,7 +45,8 @@ class RuleContext(NamedTuple):
     """Input of a rule, the same for one node and for all.
 
     `neighbours` are those that each node of the network hears; `number` is "<f8" or "<f4"; `rule`
-    is that of the scenario; without `contends` no node asks for dynamic slots.
+    is that of the scenario; without `contends` no node asks for dynamic slots. A belief is of so
+    many `models`.
     """
 
     states: int
@@ -55,6 +56,7 @@ class RuleContext(NamedTuple):
     number: str
     rule: FusionRule = CovarianceIntersection()
     contends: bool = True
+    models: int = 1
 
 
 class NodeContext(NamedTuple):

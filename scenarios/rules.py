@@ -33,6 +33,7 @@ from concord.scenarios.estimators import (
     trimmed,
     weighted_information,
 )
+from concord.scenarios.filters import check_shares, models_of
 from concord.scenarios.labelled import check_labelled, largest_share, without_arrays
 from concord.scenarios.node_context import BatchContext, NodeContext
 from concord.scenarios.scenario import Scenario, lossy_links
@@ -53,6 +54,7 @@ from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Pred
 from concord.scenarios.types.rules import (
     NumberRule,
     Reception,
+    TrackIntersection,
     TrimmedCovarianceIntersection,
     UserRule,
     hold_of,
@@ -110,11 +112,9 @@ def rule_of(scenario: Scenario) -> Rule:
     """
     if isinstance(scenario.rule, UserRule):
         return _user_rule(scenario.rule.where)
-    if isinstance(scenario.rule, Reception):
-        raise ValueError(
-            "rule reception: one node estimates from a measurement bus, which a scenario such as "
-            "meng2025 or liu2021 has; use one of these, or another rule"
-        )
+    if isinstance(scenario.rule, Reception | TrackIntersection):
+        why = scenario.rule.unavailable
+        raise ValueError(f"rule {scenario.rule.name}: {why}; use one of these, or another rule")
     if scenario.rule.name not in _RULES:
         raise unknown_name("rule", scenario.rule.name, _RULES)
     return _RULES[scenario.rule.name]
@@ -129,8 +129,8 @@ def _user_rule(source: ValueSource) -> Rule:
 
 def is_set_valued(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
-    # A receiver of a measurement bus has a rule that is not in the table.
-    if isinstance(scenario.rule, Reception):
+    # The rules of some networks are not in the table.
+    if isinstance(scenario.rule, Reception | TrackIntersection):
         return isinstance(scenario.filter, SetFilter)
     return rule_of(scenario).set_valued
 
@@ -161,7 +161,8 @@ def share_size(scenario: Scenario, states: int) -> int:
     share = rule_of(scenario).share
     if share is None:
         return largest_share(scenario, states)
-    return share.codec(wire_number(scenario), states, scenario.nodes).size
+    number, models = wire_number(scenario), models_of(scenario.filter)
+    return share.codec(number, states, scenario.nodes, models).size
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:
@@ -222,6 +223,7 @@ def _in_step(
 
 
 def _require_form(scenario: Scenario, rule: Rule) -> None:
+    check_shares(scenario, rule.shares_beliefs)
     if rule.share is None or rule.share.has(wire_number(scenario)):
         return
     raise ValueError(

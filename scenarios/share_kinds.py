@@ -14,6 +14,7 @@ from concord.nodes.share_forms import (
     TwoByteHybrid,
     TwoByteInformation,
 )
+from concord.nodes.stacked_form import StackedBelief
 from concord.nodes.vector_codec import VectorCodec
 
 FormOf = Callable[[int, int], ShareForm]
@@ -33,8 +34,11 @@ class ShareKind(NamedTuple):
     length: Callable[[int, int], int]
     forms: Mapping[str, FormOf] = {}
 
-    def codec(self, number: str, states: int, nodes: int) -> VectorCodec:
-        """How a share is written."""
+    def codec(self, number: str, states: int, nodes: int, models: int = 1) -> VectorCodec:
+        """How a share is written; of beliefs of several models, all that is not known of it."""
+        if models > 1:
+            stacked = StackedBelief(states, models, number == "<f4")
+            return VectorCodec(packed_length(stacked.size), number, self.what, stacked)
         form = self.forms.get(number)
         made = None if form is None else form(states, nodes)
         return VectorCodec(self.length(states, nodes), number, self.what, made)

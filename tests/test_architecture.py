@@ -7,6 +7,7 @@ planted violation below shows that each rule can fail.
 import ast
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -71,11 +72,17 @@ def _python_files() -> Iterator[Path]:
             yield from sorted(entry.rglob("*.py"))
 
 
-SOURCES = [
-    source(str(file.relative_to(ROOT)), file.read_text(encoding="utf-8"))
-    for file in _python_files()
-]
-PRODUCT = [s for s in SOURCES if s.room != "tests"]
+@cache
+def _sources() -> list[Source]:
+    """Every Python file of the repository's packages and tests."""
+    return [
+        source(str(file.relative_to(ROOT)), file.read_text(encoding="utf-8"))
+        for file in _python_files()
+    ]
+
+
+def _product() -> list[Source]:
+    return [file for file in _sources() if file.room != "tests"]
 
 
 # --- the rules ---------------------------------------------------------------------------------
@@ -253,12 +260,12 @@ def _require(rule: Rule, sources: list[Source]) -> None:
 
 @pytest.mark.parametrize("rule", EVERYWHERE, ids=lambda rule: rule.__name__)
 def test_everywhere(rule: Rule):
-    _require(rule, SOURCES)
+    _require(rule, _sources())
 
 
 @pytest.mark.parametrize("rule", IN_THE_PRODUCT, ids=lambda rule: rule.__name__)
 def test_in_the_product(rule: Rule):
-    _require(rule, PRODUCT)
+    _require(rule, _product())
 
 
 # --- the rules themselves ----------------------------------------------------------------------
@@ -359,7 +366,7 @@ def test_every_rule_has_a_planted_violation():
 
 
 def test_the_files_are_found():
-    rooms = {file.room for file in SOURCES}
+    rooms = {file.room for file in _sources()}
     assert {"filters", "nodes", "experiments", "tests", "launch_local"} <= rooms
 
 
@@ -374,7 +381,7 @@ def _table_of_rooms() -> dict[str, str]:
 
 
 def test_the_page_names_every_room():
-    missing = {file.room for file in PRODUCT} - set(_table_of_rooms())
+    missing = {file.room for file in _product()} - set(_table_of_rooms())
     assert not missing, f"add a row for {sorted(missing)} to the table of ARCHITECTURE.md"
 
 

@@ -12,8 +12,6 @@ from tests.house.rules import RULES, Rule
 from tests.house.sources import product, source
 from tests.house.structure import classes_are_small, folders_are_small, no_import_circles
 
-PRODUCT = product()
-
 UPWARDS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from concord.bus.b import B"
 LAZY = "def f():\n    import concord.bus.a"
 DYNAMIC = "import importlib\nimportlib.import_module('concord.bus.a')"
@@ -74,7 +72,7 @@ ALLOWED: list[tuple[Rule, dict[str, str]]] = [
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.__name__)
 def test_the_product_keeps_the_rule(rule: Rule):
-    found = list(rule(PRODUCT))
+    found = list(rule(product()))
     if found:
         pytest.fail("\n".join(found), pytrace=False)
 

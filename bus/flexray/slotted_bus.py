@@ -36,6 +36,8 @@ Slots = Callable[[int, int], tuple[tuple[Slot, ...], ...]]
 """(node, cycle) -> for each urgency class the slots of the node's share in that cycle; one class
 for a node with slots of its own, none for a node without slots."""
 
+_NOT_COUNTED = -1, 0
+
 
 class SlottedBus:
     """The part of `concord.bus.bus.Bus` that needs no time: it gives each share consecutive
@@ -58,14 +60,22 @@ class SlottedBus:
         self.classes = classes
         self._arbiter = arbiter
         self._cycle_counts = cycle_counts
+        self._counted = _NOT_COUNTED
 
     def paced(self, pace: Pace) -> Self:
         """Return the bus in a run of this pace: which of its cycles carry rounds."""
-        return at_pace(self, pace, self.schedule.period)
+        other = at_pace(self, pace, self.schedule.period)
+        other._counted = _NOT_COUNTED
+        return other
 
     def cycle_count(self, cycle: int) -> int:
         """Return the cycle counter of the bus in the cycle that nodes call `cycle`."""
-        return self.timebase.bus_cycle(cycle) % self._cycle_counts
+        # Kept: every frame of a cycle asks.
+        known, count = self._counted
+        if known != cycle:
+            count = self.timebase.bus_cycle(cycle) % self._cycle_counts
+            self._counted = cycle, count
+        return count
 
     def encode(self, node: int, cycle: int, body: bytes, urgency_class: int = 0) -> list[bytes]:
         """Return the frames in which a node sends a share in a cycle."""

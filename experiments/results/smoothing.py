@@ -21,6 +21,7 @@ from concord.scenarios.baselines import (
     filters_step_by_step,
 )
 from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.filters import models_of
 from concord.scenarios.setup import Setup
 
 SMOOTHED = "smoothed.nc"
@@ -53,7 +54,12 @@ def check_smoothing(setup: Setup) -> None:
     Raises:
         ValueError: naming the option, what is in its way, and the cure.
     """
-    definition = definition_of(setup.scenario)
+    definition, choice = definition_of(setup.scenario), setup.scenario.filter
+    if models_of(choice) > 1:
+        raise ValueError(
+            f"--smooth with --filter {choice.name}: the smoother has one model; leave it out, or "
+            "use --filter ukf"
+        )
     if definition.wiring is not None or not filters_step_by_step(setup):
         raise ValueError(
             f"--smooth with --rule {setup.scenario.rule.name} on {setup.scenario.name}: the filter "

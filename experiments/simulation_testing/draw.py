@@ -43,7 +43,7 @@ _PLANTS = {
 _CERTAIN = ("ellipsoid", "zonotope")
 _OFTEN = {"ci": 5, "hcmci": 4, "labelled": 5, "wac": 3, "trimmed-ci": 3}
 # Rules that only scenarios of their own have.
-_OWN = ("reception", *_CERTAIN)
+_OWN = ("reception", "track-ci", *_CERTAIN)
 _RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN}}
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")

@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, cast
 
 import numpy as np
 
+from concord.filters.filter import begun, moments
 from concord.filters.fusion.hold import renormalise
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.filter import Counters, added, forgotten, traffic, with_lanes
@@ -58,7 +59,7 @@ class InBatch(Generic[Own, Held, Share]):
 
     def start(self, prior: Gaussian) -> BatchContent[Own, Held]:
         """The priors, and neighbours never heard."""
-        receiver = self.links.receiver
+        prior, receiver = begun(self.filters.filter, prior), self.links.receiver
         held = Gaussian(prior.mean[:, receiver], prior.cov[:, receiver])
         return BatchContent(self.rule.start(self._nodes, prior, held), {})
 
@@ -67,7 +68,7 @@ class InBatch(Generic[Own, Held, Share]):
     ) -> BatchContent[Own, Held]:
         """Nodes begin anew with these beliefs, and have heard no neighbour."""
         known = content.known
-        anew = self.start(with_lanes(self.rule.belief(known), nodes, belief)).known
+        anew = self.start(with_lanes(self.belief(content), nodes, belief)).known
         heard = np.flatnonzero(np.isin(self.links.receiver, nodes))
         own = mapped(lambda old, new: _replaced(old, nodes, new[:, nodes]), known.own, anew.own)
         held = mapped(lambda old, new: _replaced(old, heard, new[:, heard]), known.held, anew.held)
@@ -143,7 +144,7 @@ class InBatch(Generic[Own, Held, Share]):
 
     def belief(self, content: BatchContent[Own, Held]) -> Gaussian:
         """Return the current beliefs of the nodes: (R, N, n), (R, N, n, n)."""
-        return self.rule.belief(content.known)
+        return moments(self.filters.filter, self.rule.belief(content.known))
 
     def ages(self, content: BatchContent[Own, Held]) -> np.ndarray:
         """Cycles since what came over each link was sent (R, E); -1 is never."""

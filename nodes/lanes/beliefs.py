@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import begun, moments
 from concord.filters.fusion.averaging import INFORMATION, Averaging
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import belief_numbers, belief_of
@@ -113,10 +114,10 @@ class BatchedBeliefs:
 
     def start(self, prior: Gaussian) -> BatchedContent:
         """The priors, and neighbours never heard."""
+        prior = begun(self.filters.filter, prior)
         origin = prior.mean.mean(axis=1, keepdims=True)
-        own = self._expressed(prior, origin)
-        runs, slots = len(prior.mean), len(self.links.source)
-        nothing = np.broadcast_to(0.0, (runs, slots, own.values.shape[-1]))
+        own, runs = self._expressed(prior, origin), len(prior.mean)
+        nothing = np.broadcast_to(0.0, (runs, len(self.links.source), own.values.shape[-1]))
         nobody = Numbers(nothing, nothing[..., 0])
         ages = np.full((runs, len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
@@ -127,7 +128,7 @@ class BatchedBeliefs:
     ) -> BatchedContent:
         """Let nodes begin anew, without the shares that they held of others."""
         return content._replace(
-            belief=with_lanes(content.belief, nodes, belief),
+            belief=with_lanes(content.belief, nodes, begun(self.filters.filter, belief)),
             ages=unheard(self.links, content.ages, nodes),
             published=content.published.forgotten(nodes),
             memory=forgotten(self.filters, content.memory, nodes, self.links.nodes),
@@ -277,7 +278,7 @@ class BatchedBeliefs:
 
     def belief(self, content: BatchedContent) -> Gaussian:
         """The own pairs, after the last round of a step."""
-        return content.belief
+        return moments(self.filters.filter, content.belief)
 
     def ages(self, content: BatchedContent) -> np.ndarray:
         """Cycles since the held pairs were sent."""

@@ -6,7 +6,7 @@ from typing import Generic, cast
 
 import numpy as np
 
-from concord.filters.filter import Filter
+from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.bids import asked
 from concord.nodes.messages import Measured, from_wire
@@ -58,12 +58,13 @@ class AtNode(Generic[Own, Held, Share]):
 
     def start(self) -> LaneContent[Own, Held]:
         """The prior, and neighbours never heard."""
-        mean, cov = self.prior
+        prior = begun(self.filter, self.prior)
+        mean, cov = prior
         held = Gaussian(
             np.repeat(mean[None], self.neighbours, axis=0),
             np.repeat(cov[None], self.neighbours, axis=0),
         )
-        return self.rule.start(self.place.node, self.prior, held)
+        return self.rule.start(self.place.node, prior, held)
 
     def begin_step(
         self, content: LaneContent[Own, Held], measured: Measured
@@ -112,7 +113,7 @@ class AtNode(Generic[Own, Held, Share]):
 
     def belief(self, content: LaneContent[Own, Held]) -> Gaussian:
         """The node's belief now."""
-        return self.rule.belief(content)
+        return moments(self.filter, self.rule.belief(content))
 
     def ages(self, content: LaneContent[Own, Held]) -> np.ndarray:
         """Cycles since the last share of each neighbour was sent; -1 is never."""

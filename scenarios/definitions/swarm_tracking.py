@@ -23,6 +23,8 @@ from concord.nodes.tracking.scan_flooding import (
     ScanFlooding,
     StepRecords,
 )
+from concord.nodes.tracking.track_codec import TrackCodec
+from concord.nodes.tracking.track_exchange import TrackExchange
 from concord.plants.linear import LinearModel
 from concord.plants.motion import ConstantVelocity
 from concord.plants.placement import place_sensors, sites
@@ -37,6 +39,7 @@ from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.plants import TargetSwarm
+from concord.scenarios.types.rules import TrackIntersection
 
 START = Tracked(no_tracks(TARGET_STATES), 0)
 UNDETECTED = 0.1
@@ -145,6 +148,8 @@ def baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) ->
 
 def share_bytes(scenario: Scenario) -> int:
     """Length in bytes of the longest share."""
+    if isinstance(scenario.rule, TrackIntersection):
+        return _track_codec(scenario.rule).size
     return largest_share(scenario, _STATES)
 
 
@@ -204,8 +209,29 @@ def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
     return dataclasses.replace(sensor, sensor=rounded)
 
 
-def estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanFlooding:
+def _track_codec(rule: TrackIntersection) -> TrackCodec:
+    return TrackCodec(TARGET_STATES, rule.most_tracks)
+
+
+def estimator(
+    setup: Setup, node: int, bus: Bus, beginning: Beginning
+) -> ScanFlooding | TrackExchange:
     """Return the estimator of one node."""
+    rule = setup.scenario.rule
+    if not isinstance(rule, TrackIntersection):
+        return _flooding(setup, node, bus, beginning)
+    return TrackExchange(
+        node,
+        len(setup.neighbours[node]),
+        plant_of(setup.scenario).sensors[node],
+        settings_of(setup.scenario),
+        _track_codec(rule),
+        UNDETECTED,
+        beginning.step,
+    )
+
+
+def _flooding(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanFlooding:
     scenario, neighbours = setup.scenario, setup.neighbours
     codec, window_steps = scan_codec_of(scenario), window_of(scenario, neighbours)
     codecs = [codec] * scenario.nodes

@@ -21,10 +21,11 @@ from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
 from concord.scenarios.labelled import check_labelled
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring, ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
 from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import TargetSwarm
-from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.rules import MeasurementFlooding, TrackIntersection
 
 # Birth and the first confirmation of the targets that are there from the start.
 _SETTLED_STEPS = 0
@@ -54,11 +55,12 @@ class DetectionSensor:
 
 
 def _check(scenario: Scenario) -> None:
+    rule = scenario.rule
     require(
-        isinstance(scenario.rule, MeasurementFlooding),
+        isinstance(rule, MeasurementFlooding | TrackIntersection),
         "rule",
-        scenario.rule.name,
-        "labelled: nodes of target-swarm flood their scans",
+        rule.name,
+        "labelled or track-ci: nodes of target-swarm flood their scans or share their tracks",
     )
     require(
         isinstance(scenario.filter, UnscentedFilter),
@@ -66,16 +68,25 @@ def _check(scenario: Scenario) -> None:
         scenario.filter.name,
         "ukf: the tracker predicts and updates each track by it",
     )
-    rule = scenario.rule
-    assert isinstance(rule, MeasurementFlooding)
+    # Placing the nodes is what can fail, and says why.
+    plant_of(scenario)
+    if isinstance(rule, MeasurementFlooding):
+        _check_flooding(scenario, rule)
+
+
+def _check_flooding(scenario: Scenario, rule: MeasurementFlooding) -> None:
     why = "a record is a scan, and its tracker judges the detections"
     require(rule.record_number == "int16", "record-number", rule.record_number, f"int16: {why}")
     for option in ("gate_probability", "withhold_below", "smooth_steps"):
         value = getattr(rule, option)
         require(value == 0, option, value, f"0: {why}")
-    # Placing the nodes, and finding room for a detection, are what else can fail, and say why.
-    plant_of(scenario)
+    # Finding room for a detection is what else can fail, and says why.
     scan_codec_of(scenario)
+
+
+def _check_network(setup: Setup) -> None:
+    if isinstance(setup.scenario.rule, MeasurementFlooding):
+        check_labelled(setup.scenario, setup.neighbours, None)
 
 
 def _without_arrays(scenario: Scenario) -> str | None:
@@ -102,8 +113,8 @@ DEFINITION = ScenarioDefinition(
         share_bytes=share_bytes,
         estimator=estimator,
         batched=None,
-        names={"rule": ("labelled",)},
-        check=lambda setup: check_labelled(setup.scenario, setup.neighbours, None),
+        names={"rule": ("labelled", "track-ci")},
+        check=_check_network,
         lacking=_without_arrays,
     ),
     baseline_filter=baseline_filter,

@@ -51,6 +51,20 @@ class IteratedTangentFilter(PassesFilter, frozen=True, kw_only=True, tag="iekf")
     """Iterated extended Kalman filter: the ekf, linearised where the reading leads."""
 
 
+class InteractingMultipleModels(FilterBase, frozen=True, kw_only=True, tag="imm"):
+    """Interacting multiple models: the ukf of a straight course and that of a turn."""
+
+    change: Annotated[
+        float,
+        Option("Probability that a straight course or a turn ends within a step.", above=0,
+               below=1),
+    ] = 0.05  # fmt: skip
+    turn_rate_std: Annotated[
+        float,
+        Option("Standard deviation of the rate with which a turn begins.", unit="rad/s", above=0),
+    ] = 0.1
+
+
 class MaximumCorrentropy(PassesFilter, frozen=True, kw_only=True, tag="mcukf"):
     """Maximum-correntropy unscented Kalman filter: outliers lose their weight."""
 
@@ -183,6 +197,7 @@ FilterChoice = (
     | LinearFilter
     | PosteriorLinearisation
     | IteratedTangentFilter
+    | InteractingMultipleModels
     | MaximumCorrentropy
     | AdaptiveUnscented
     | FuzzyUnscented

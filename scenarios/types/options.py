@@ -71,6 +71,7 @@ class ScenarioOptions(TypedDict, total=False):
     withhold_below: float
     record_number: RECORD_NUMBER
     smooth_steps: int
+    most_tracks: int
     bid_weights: str
     rounds: int
     bus: FUNCTION
@@ -91,6 +92,8 @@ class ScenarioOptions(TypedDict, total=False):
     retransmissions: int
     filter: FILTER
     iterations: int
+    change: float
+    turn_rate_std: float
     bandwidth: float
     least_noise: float
     most_noise: float
@@ -148,6 +151,7 @@ class SweptOptions(TypedDict, total=False):
     withhold_below: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     smooth_steps: Sequence[int] | np.ndarray | int
+    most_tracks: Sequence[int] | np.ndarray | int
     bid_weights: Sequence[str] | np.ndarray | str
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
@@ -168,6 +172,8 @@ class SweptOptions(TypedDict, total=False):
     retransmissions: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
+    change: Sequence[float] | np.ndarray | float
+    turn_rate_std: Sequence[float] | np.ndarray | float
     bandwidth: Sequence[float] | np.ndarray | float
     least_noise: Sequence[float] | np.ndarray | float
     most_noise: Sequence[float] | np.ndarray | float

@@ -176,9 +176,23 @@ class EllipsoidFlooding(FloodingRule, frozen=True, kw_only=True, tag="labelled-e
     smooth_steps: ClassVar[int] = 0
 
 
+class TrackIntersection(FusionRule, frozen=True, kw_only=True, tag="track-ci"):
+    """Tracks of several targets, fused by covariance intersection (target-swarm)."""
+
+    unavailable: ClassVar[str] = "nodes share tracks of several targets, as target-swarm has them"
+    most_tracks: Annotated[
+        int,
+        Option("Most tracks in a share: those that most probably exist.", at_least=1, at_most=100),
+    ] = 12
+
+
 class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
     """One node estimates what the others send over a measurement bus (meng2025, liu2021)."""
 
+    unavailable: ClassVar[str] = (
+        "one node estimates from a measurement bus, which a scenario such as meng2025 or liu2021 "
+        "has"
+    )
     hold: Annotated[SensorHold, HOLD] = ZeroOrder()
     bid_weights: Annotated[
         str,
@@ -215,6 +229,7 @@ RuleChoice = (
     | CentralisedRule
     | EllipsoidIntersection
     | ZonotopeIntersection
+    | TrackIntersection
     | Reception
     | UserRule
 )

@@ -25,7 +25,8 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("name", FILTER_SUMMARIES)
+# The check has no plant with a rate of turn, which imm needs.
+@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "imm"])
 def test_our_filters_keep_each_promise(name: str, capsys: pytest.CaptureFixture[str]):
     for promise in ABOUT_MODELS:
         code, rows = checked(capsys, name, "--promise", promise, "--cases", "30")

@@ -25,6 +25,8 @@ SETUPS = {
     "tracking": small("target-tracking", nodes=5, steps=24, schedule="hybrid", occupancy=0.5),
     "a controlled plant": small("dc-motor-speed", steps=12, loss=0.2),
     "sets": small("liu2021-network", steps=4),
+    "several targets": small("target-swarm", targets=3, clutter=2, steps=10, rounds=2),
+    "interacting models": small("target-tracking", steps=12, filter="imm"),
 }
 
 

@@ -29,7 +29,12 @@ from tests.filters.support import (
     turn,
 )
 
-CHOICES = {name_of(one): one for one in get_args(FilterChoice) if name_of(one) in FILTER_SUMMARIES}
+# Beliefs of imm are mixtures: test_interacting_models.py.
+CHOICES = {
+    name_of(one): one
+    for one in get_args(FilterChoice)
+    if name_of(one) in FILTER_SUMMARIES and name_of(one) != "imm"
+}
 
 
 def built(name: str, states: int) -> Filter:

@@ -179,7 +179,7 @@ def test_lanes_are_filtered_as_alone_and_fail_alone(name: str):
     assert np.isfinite(factors).all()
 
 
-@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize("name", [name for name in CHOICES if name != "imm"])
 def test_one_wild_reading_does_not_end_a_filter_with_a_gate(name: str):
     """1e8 in both channels at step 30: what follows is nearly what would have followed."""
     if name == "kf":

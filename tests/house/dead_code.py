@@ -26,12 +26,12 @@ def pages() -> str:
 def modules_are_reached(sources: Sequence[Source]) -> Iterator[str]:
     """Refuse a module that no command, benchmark, page or script reaches."""
     by_name = {file.module: file for file in sources}
-    text = pages()
+    names_on_pages = _dotted_names(pages())
     reached = set[str]()
     waiting = [
         file.module
         for file in sources
-        if _STARTED.fullmatch(str(file.path)) or re.search(rf"\b{re.escape(file.module)}\b", text)
+        if _STARTED.fullmatch(str(file.path)) or file.module in names_on_pages
     ]
     # A process is started by the name of its module, which stands in a string.
     named = {
@@ -49,6 +49,19 @@ def modules_are_reached(sources: Sequence[Source]) -> Iterator[str]:
     for file in sources:
         if file.module not in reached and file.path.name != "__init__.py":
             yield f"{file.path}:1: no command reaches this file; delete it, or make it reachable"
+
+
+def _dotted_names(text: str) -> set[str]:
+    """Every name of dotted words in a text, and each part of it that is such a name."""
+    found = set[str]()
+    for name in set(re.findall(r"\w+(?:\.\w+)*", text)):
+        words = name.split(".")
+        found |= {
+            ".".join(words[first:last])
+            for first in range(len(words))
+            for last in range(first + 1, len(words) + 1)
+        }
+    return found
 
 
 def functions_are_called(sources: Sequence[Source]) -> Iterator[str]:

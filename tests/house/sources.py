@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ def source(path: str, text: str) -> Source:
     return Source(PurePosixPath(path), ast.parse(text))
 
 
+@cache
 def product() -> list[Source]:
     """Return every Python file of the repository's packages but the tests."""
     files = [file for file in sorted(ROOT.glob("*.py"))]

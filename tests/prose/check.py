@@ -1,6 +1,7 @@
 """Findings of the prose rules in files, each with its file, its line and the rule."""
 
 import ast
+import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -88,10 +89,16 @@ def findings(file: Path, root: Path = ROOT) -> list[Finding]:
 
 
 def files(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield the checked files at or below paths, without hidden folders and results of runs."""
+    """Yield the checked files at or below paths, without hidden folders, links and runs."""
     for path in paths:
-        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            parts = file.relative_to(ROOT).parts
-            hidden = any(part.startswith(".") or part in ("runs", "build") for part in parts)
-            if file.suffix in SUFFIXES and file.is_file() and not hidden:
+        for file in _below(path) if path.is_dir() else [path]:
+            if file.suffix in SUFFIXES:
                 yield file
+
+
+def _below(root: Path) -> Iterator[Path]:
+    for folder, folders, names in os.walk(root):
+        folders[:] = sorted(
+            name for name in folders if not name.startswith(".") and name not in ("runs", "build")
+        )
+        yield from (Path(folder, name) for name in sorted(names))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.smoothing import check_smoothing
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.filters import ukf
@@ -15,6 +16,7 @@ from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import own_scenario
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rules import share_size
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.warnings import warnings_of
@@ -26,7 +28,7 @@ def known(cov: float = 1.0, R: float = 1.0) -> Scenario:
     return own_scenario(plant, [OwnSensor(h=lambda x: x[..., :1], R=R)], nodes=3, steps=30)
 
 
-@pytest.mark.parametrize("name", FILTER_SUMMARIES)
+@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "imm"])
 def test_a_singular_prior_or_noise_runs_or_is_refused(name: str):
     for options, says in (({"cov": 0.0}, "prior is singular"), ({"R": 0.0}, "R of a sensor is")):
         asked = known(**options).with_(filter=name, rule="local")
@@ -63,6 +65,8 @@ def test_the_kalman_filter_runs_on_linear_plants_as_the_unscented_one(name: str)
 @pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "kf"])
 def test_batches_give_the_numbers_of_messages(name: str, rule: str):
     """With a node that dies and begins anew, which forgets, and sensors that see at times."""
+    if name == "imm" and rule != "ci":
+        pytest.skip("refused: its shares carry no beliefs")
     options = {"nodes": 5, "graph": "complete", "steps": 14, "changes": ("4 kill 2", "8 restart 2")}
     asked = scenario_of("target-tracking", filter=name, rule=rule, **options)
     setup = prepare(asked)
@@ -71,6 +75,35 @@ def test_batches_give_the_numbers_of_messages(name: str, rule: str):
     np.testing.assert_allclose(histories.mean[0], trace.mean, rtol=1e-9, atol=1e-9)
     alone = local_only(setup, trace.readings, None)
     assert np.isfinite(alone.mean).all()
+
+
+@pytest.mark.parametrize("rule", ["hcmci", "icf", "diffusion", "labelled"])
+def test_models_are_refused_where_shares_are_no_beliefs_or_nothing_turns(rule: str):
+    with pytest.raises(ValueError, match=f"rule {rule} with --filter imm: .* use rule ci, wac or"):
+        prepare(scenario_of("target-tracking", filter="imm", rule=rule))
+    with pytest.raises(ValueError, match="has no rate of turn; use --scenario target-tracking"):
+        prepare(scenario_of("target-crossing", filter="imm"))
+    with pytest.raises(ValueError, match="as float64 or float32"):
+        prepare(scenario_of("target-tracking", filter="imm", number="float16"))
+    with pytest.raises(ValueError, match="--smooth with --filter imm: the smoother has one model"):
+        check_smoothing(prepare(scenario_of("target-tracking", filter="imm")))
+
+
+@pytest.mark.parametrize("number", ["float64", "float32"])
+@pytest.mark.parametrize("rule", ["ci", "wac", "local", "trimmed-ci"])
+def test_models_give_the_same_numbers_in_arrays_and_messages(rule: str, number: str):
+    few = {"nodes": 7, "graph": "complete", "steps": 9, "filter": "imm", "rule": rule}
+    asked = scenario_of("target-tracking", **few, number=number, occupancy=0.5, loss=0.2)
+    setup = prepare(asked)
+    trace = read_trace(setup, in_memory(setup))
+    histories = simulate(setup, [asked.run])
+    # Sums in another order may round a float32 to its other neighbour.
+    exact = number == "float64"
+    near = 1e-9 if exact else 1e-5
+    np.testing.assert_allclose(histories.mean[0], trace.mean, rtol=near, atol=near)
+    # Means of two models, the ratio of their odds, two triangles, and the variance of the odds.
+    numbers = 2 * 5 + 1 + 2 * 15 + 1
+    assert share_size(setup.scenario, 5) == numbers * (8 if exact else 4)
 
 
 @pytest.mark.parametrize("name", ["aukf", "faukf", "adlukf"])
@@ -126,7 +159,7 @@ def test_the_centralised_filter_takes_readings_one_by_one_in_the_order_of_the_no
 
 def test_baselines_use_the_filter_of_the_scenario():
     """Where a node hears nobody it is its own baseline, whatever its filter."""
-    for name in ("ukf", "srukf", "iplf", "mcukf", "aukf", "faukf"):
+    for name in ("ukf", "srukf", "iplf", "mcukf", "aukf", "faukf", "imm"):
         asked = scenario_of("target-tracking", nodes=4, steps=20, filter=name, rule="local")
         setup = prepare(asked)
         trace = read_trace(setup, in_memory(setup))

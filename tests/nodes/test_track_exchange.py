@@ -1,0 +1,131 @@
+"""Test nodes that share tracks: two with fields of view apart, and networks in every order."""
+
+import numpy as np
+import pytest
+
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.nodes.messages import Measured, to_wire
+from concord.nodes.tracking.track_exchange import TrackContent, TrackExchange
+from concord.plants.range_bearing import RangeBearing
+from concord.plants.scanned_swarm import write_scan
+from concord.plants.scanning import ScanningSensor
+from concord.runtime.drivers import in_memory
+from concord.scenarios.build import build_node
+from concord.scenarios.preparation import prepare
+from tests.experiments.test_swarm_network import (
+    by_topic,
+    figures_of,
+    messages_of,
+    nodes_of,
+    setup_of,
+)
+
+SHARED = {"nodes": 6, "targets": 3, "steps": 12, "clutter": 3, "rounds": 2, "rule": "track-ci"}
+APART_M = 800.0
+
+
+def pair() -> list[TrackExchange]:
+    """Two nodes that hear each other, and whose fields of view of 350 m have nothing in common."""
+    setup = prepare(scenario_of("target-swarm", nodes=2, graph="complete", rule="track-ci"))
+    found = []
+    for node in range(2):
+        estimator = build_node(setup, node).estimator
+        assert isinstance(estimator, TrackExchange)
+        place = np.array([node * APART_M, 0.0])
+        sensor = ScanningSensor(RangeBearing(place), detection=0.95, clutter=2.0)
+        found.append(TrackExchange(**{**vars(estimator), "sensor": sensor}))
+    return found
+
+
+def followed(
+    nodes: list[TrackExchange], steps: int, last: int, silent: bool = False
+) -> list[TrackContent]:
+    """The nodes' knowledge after some steps. One target moves near each node; that of node 0 is
+    gone after the step `last`. With `silent` no share arrives."""
+    generator, contents = np.random.default_rng(4), [node.start() for node in nodes]
+    for step in range(steps):
+        truth = np.array([[100 + 4.0 * step, 4, 50, 0], [APART_M + 90, 0, 60 + 3.0 * step, 3]])
+        truth[0] = np.nan if step > last else truth[0]
+        for place, node in enumerate(nodes):
+            assert isinstance(node.sensor, ScanningSensor)
+            rows = np.full((40, 2), np.nan)
+            write_scan(rows, node.sensor.scan(truth, generator))
+            contents[place], _ = node.begin_step(
+                contents[place], Measured(place, step, to_wire(rows))
+            )
+        said = [node.compose(content) for node, content in zip(nodes, contents, strict=True)]
+        for place, node in enumerate(nodes):
+            body = None if silent else node.accept(said[1 - place][1])
+            contents[place], _ = node.fuse(said[place][0], (body,))
+    return contents
+
+
+def test_nodes_with_fields_of_view_apart_both_have_both_targets_with_equal_labels():
+    nodes = pair()
+    rows = [
+        np.array(node.tracks(content).rows)
+        for node, content in zip(nodes, followed(nodes, 15, 99), strict=True)
+    ]
+    assert [len(one) for one in rows] == [2, 2]
+    np.testing.assert_array_equal(rows[0][:, :3], rows[1][:, :3])
+    for one in rows:
+        places = one[np.argsort(one[:, 4])][:, [4, 6]]
+        np.testing.assert_allclose(places, [[156, 50], [APART_M + 90, 102]], atol=25)
+        # A node that never saw a target does not vote it down.
+        assert (one[:, 3] > 0.95).all()
+    alone = followed(nodes, 15, 99, silent=True)
+    assert [
+        len(node.tracks(one).rows) for node, one in zip(nodes, alone, strict=True)
+    ] == [1, 1]  # fmt: skip
+
+
+def test_the_end_of_a_target_reaches_a_node_that_cannot_see_it():
+    nodes = pair()
+    contents = followed(nodes, 25, 14)
+    for node, content in zip(nodes, contents, strict=True):
+        rows = np.array(node.tracks(content).rows)
+        assert len(rows) == 1 and rows[0, 4] > APART_M
+
+
+def test_a_node_that_no_longer_hears_keeps_what_it_cannot_see():
+    nodes = pair()
+    content = followed(nodes, 10, 99)[1]
+    nothing = np.full((40, 2), np.nan)
+    nothing[0, 0] = 0.0
+    before = content.known.tracks.existence.max()
+    content, _ = nodes[1].begin_step(content, Measured(1, 10, to_wire(nothing)))
+    places = content.known.tracks.belief.mean[:, 0]
+    existence = content.known.tracks.existence
+    unseen = existence[places < 400]
+    assert len(unseen) == 1 and unseen[0] == pytest.approx(0.99 * before, rel=0.02)
+    assert existence[places > 400].max() < 0.7
+
+
+def test_the_order_of_delivery_changes_no_message():
+    setup = setup_of(SHARED, occupancy=0.5, loss=0.2)
+    usual = by_topic(messages_of(setup, nodes_of(setup)))
+    for seed in range(2):
+        assert by_topic(messages_of(setup, nodes_of(setup), seed)) == usual
+
+
+def test_a_network_that_shares_tracks_is_better_than_its_nodes_alone():
+    shared, alone = (
+        figures_of(setup_of(SHARED, steps=20, **options)) for options in ({}, {"loss": 0.97})
+    )
+    assert shared.network.gospa_m < 0.9 * alone.network.gospa_m
+    assert shared.equal_records == 0
+
+
+def test_tracks_without_room_are_counted_and_a_killed_node_begins_anew():
+    setup = setup_of(SHARED, most_tracks=1, changes=("4 kill 2", "7 restart 2"))
+    trace = read_trace(setup, in_memory(setup))
+    assert sum(counters.get("track-room", 0) for counters in trace.counters) > 0
+    assert trace.tracks is not None and trace.tracks.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
+
+
+def test_the_rule_is_refused_where_targets_have_names():
+    with pytest.raises(ValueError, match="rule track-ci: nodes share tracks of several targets"):
+        prepare(scenario_of("target-tracking", rule="track-ci"))
+    with pytest.raises(ValueError, match="labelled or track-ci"):
+        prepare(scenario_of("target-swarm", rule="ci"))
