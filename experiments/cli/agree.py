@@ -14,12 +14,12 @@ import tyro
 from concord.experiments.agreement import Agreement, agreement
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import BATCHED
-from concord.experiments.results.near_agreement import TOLERANCE
+from concord.experiments.results.near_agreement import tolerance_of
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.runtime.processes.launcher import NetworkFailed
 from concord.scenarios.preparation import prepare
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ def agree(
     except NetworkFailed as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
-    _show(setup.scenario, found, output.json)
+    _show(setup, found, output.json)
     sys.exit(1 if found.differences else 0)
 
 
-def _show(scenario: Scenario, found: Agreement, as_json: bool) -> None:
-    drivers, near, differences = found
+def _show(setup: Setup, found: Agreement, as_json: bool) -> None:
+    scenario, (drivers, near, differences) = setup.scenario, found
     if as_json:
         result = {
             "scenario": scenario,
@@ -60,7 +60,7 @@ def _show(scenario: Scenario, found: Agreement, as_json: bool) -> None:
         f"{scenario.name}, {scenario.nodes} nodes, {scenario.network.graph}, {scenario.steps} steps"
     )
     if not differences:
-        also = f"; {BATCHED} to {TOLERANCE:g}" if near else ""
+        also = f"; {BATCHED} to {tolerance_of(setup):g}" if near else ""
         sys.stdout.write(f"{what}: {' = '.join(drivers)}, bit for bit{also}\n")
     for d in differences:
         sys.stdout.write(

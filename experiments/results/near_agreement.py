@@ -4,6 +4,9 @@ Sums in another order differ in their last bits, so equality here means equality
 scale. The scale of a mean is its size or its standard deviation. The scale of a covariance is the
 product of its standard deviations. A set may be as narrow as the rounding of its centre. The scale
 of its shape is that product with one factor no smaller than the centre (`scale_of_cov`).
+
+Sets that travel as float32 are first enlarged by half a unit of that number. A set that came so and
+is sent on then lies between two such numbers, where the last bit of a sum chooses one of both.
 """
 
 import numpy as np
@@ -12,12 +15,19 @@ from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.innovations import innovations_of_nodes
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rules import is_set_valued, wire_number
 from concord.scenarios.setup import Setup
 
-TOLERANCE = 1e-10
+_SUMS, _FLOAT32 = 1e-10, 1e-6
 # A value that is zero up to rounding takes the scale of its neighbours.
 _LEAST = 1e-3
+
+
+def tolerance_of(setup: Setup) -> float:
+    """The part of the scale by which the batched driver may depart."""
+    scenario = setup.scenario
+    is_coarse = is_set_valued(scenario) and wire_number(scenario) == "<f4"
+    return _FLOAT32 if is_coarse else _SUMS
 
 
 def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -61,7 +71,7 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         compared["innovation_cov"] = (own.cov[0], histories.innovations.cov[0], scale)
     found = {}
     for name, (expected, value, scale) in compared.items():
-        departs = np.argwhere(_departs(expected, value, scale))
+        departs = np.argwhere(_departs(expected, value, scale, tolerance_of(setup)))
         if len(departs):
             where = tuple(departs[0])
             found[name] = (departs[0], expected[where], value[where])
@@ -93,10 +103,12 @@ def scale_of_cov(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
 _exact = np.zeros(())
 
 
-def _departs(expected: np.ndarray, value: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def _departs(
+    expected: np.ndarray, value: np.ndarray, scale: np.ndarray, tolerance: float
+) -> np.ndarray:
     if scale is _exact:
         return expected != value
-    limit = TOLERANCE * np.maximum(scale, _LEAST * np.nanmax(scale, initial=0.0))
+    limit = tolerance * np.maximum(scale, _LEAST * np.nanmax(scale, initial=0.0))
     missing = np.isnan(expected)
     beyond = np.abs(np.where(missing, 0.0, value - expected)) > np.where(missing, 0.0, limit)
     return beyond | (missing != np.isnan(value))

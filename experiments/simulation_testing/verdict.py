@@ -36,6 +36,8 @@ _SET_TOLERANCE = 1e-6
 # a factor, and a part of the variance itself.
 _FACTOR, _PART = 2.0, 1.0
 _SIZE = np.log(2.0)
+# Variances are rounding below this part of the first ones.
+_ROUNDING = 1e-12
 
 
 class EstimateHistory(NamedTuple):
@@ -150,7 +152,7 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
     # A set that a false reading has parted from the truth has nothing to find it again.
     if not promises(scenario, RETURNING if honest else GAUSSIAN):
         return
-    if not brings_back(run.setup):
+    if not brings_back(run.setup) or _is_rounding(calm, level):
         return
     # How long a filter remembers what a sensor said falsely is a matter of its plant alone.
     compared = (("errors come back", _error), ("nodes agree again", _disagreement))
@@ -172,6 +174,16 @@ def _squares(errors: np.ndarray, covs: np.ndarray) -> np.ndarray:
     solved = np.linalg.solve(covs[there], errors[there][..., None])[..., 0]
     squares[there] = (errors[there] * solved).sum(axis=-1)
     return squares
+
+
+def _is_rounding(calm: EstimateHistory, level: slice) -> bool:
+    """Whether a filter without faults comes to know a state to its last digits.
+
+    A plant whose noise does not reach each state lets that be. The cost of a fault then stays for
+    good, in digits that rounding makes.
+    """
+    variances = np.diagonal(calm.cov, axis1=-2, axis2=-1)
+    return bool(np.nanmin(variances[level] / variances[:1].max(axis=1)) < _ROUNDING)
 
 
 def _error(run: EstimateHistory, calm: EstimateHistory, level: slice) -> float:
