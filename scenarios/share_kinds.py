@@ -10,11 +10,11 @@ from concord.nodes.rules.set_shapes import set_form
 from concord.nodes.share_forms import (
     ShareForm,
     SingleBelief,
+    StackedBelief,
     TwoByteBelief,
     TwoByteHybrid,
     TwoByteInformation,
 )
-from concord.nodes.stacked_form import StackedBelief
 from concord.nodes.vector_codec import VectorCodec
 
 FormOf = Callable[[int, int], ShareForm]

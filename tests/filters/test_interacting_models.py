@@ -13,7 +13,7 @@ from concord.filters.interacting_models import InteractingModels, Mode, stacked_
 from concord.filters.linalg import pack_upper
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.stacked_form import StackedBelief
+from concord.nodes.share_forms import StackedBelief
 from concord.plants.motion import TURN_RATE, CoordinatedTurn
 
 F = np.array([[1.0, 0.7], [0.0, 0.9]])
