@@ -96,7 +96,7 @@ def test_kill_restart_cut_and_set_are_obeyed_and_told(tmp_path: Path):
         assert network.goes_on()
         standing = network.client.state()["standing"]
         assert standing["cuts"] == [[1, 2], [2, 1]]
-        assert standing["settings"]["schedule"] == "hybrid"
+        assert standing["settings"]["schedule"] == "dynamic"
         kinds = [decode("event", data).change for data in events]
         named = [type(change).__name__ for change in kinds]
         assert named == ["Left", "Joined", "Cut", "Cut", "Loss", "Set"]

@@ -72,7 +72,7 @@ def test_a_long_slot_table_is_cut_for_people_alone(capsys, monkeypatch: pytest.M
 def test_what_fits_is_shown_as_asked(capsys):
     answer = concord(capsys, *ASKED, "--occupancy", 0.25, "--json").json()
     assert answer["problem"] is None and answer["alternatives"] == []
-    assert answer["shown"]["schedule"] == "hybrid" and answer["shown"]["occupancy"] == 0.25
+    assert answer["shown"]["schedule"] == "dynamic" and answer["shown"]["occupancy"] == 0.25
     assert answer["shown"]["published"] == pytest.approx(0.25)
     text = concord(capsys, *ASKED, "--occupancy", 0.25).out
     assert "fits; shown below: what was asked for" in text
@@ -303,6 +303,8 @@ SHOWN = (
     "target-tracking",
     "--cluster",
     "audi",
+    "--schedule",
+    "hybrid",
     "--occupancy",
     0.25,
 )

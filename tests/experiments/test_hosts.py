@@ -18,7 +18,7 @@ from concord.runtime.network.zenoh_transport import Transport
 from tests.experiments.flexray_support import concord
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
-from tests.processes import PROC, holds_within
+from tests.processes import PATIENCE_S, PROC, holds_within
 
 needs_proc = pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc")
 
@@ -43,10 +43,14 @@ def two_routers(there: Hosts) -> tuple[str, str]:
 def await_network(endpoint: str, keys: str | None = None) -> Client:
     """Return a client as soon as the environment answers it."""
     client = Client([endpoint], "hosts", keys)
-    for _ in range(10):
+
+    def answers() -> bool:
         with suppress(NotThere):
             client.state()
-            break
+            return True
+        return False
+
+    assert holds_within(PATIENCE_S, answers)
     return client
 
 
