@@ -125,13 +125,20 @@ def slowdown() -> float:
     return max(1.0, 2 * threads / (os.cpu_count() or 1))
 
 
-def holds_within(seconds: float, holds: Callable[[], bool]) -> bool:
-    """Whether something becomes true in so many seconds of an idle machine."""
+def holds_within(
+    seconds: float,
+    holds: Callable[[], object],
+    wait: Callable[[], object] = lambda: time.sleep(0.01),
+) -> bool:
+    """Whether something becomes true in so many seconds of an idle machine.
+
+    `wait` passes the time between two looks.
+    """
     began_s = time.monotonic()
     while not holds():
         if time.monotonic() - began_s > seconds * slowdown():
             return False
-        time.sleep(0.01)
+        wait()
     return True
 
 

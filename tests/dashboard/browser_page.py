@@ -1,6 +1,5 @@
 """A page under test: a dashboard in this process, stepped by hand, and its browser."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.setup import Setup
 from tests.dashboard.runs import setup_of
+from tests.processes import PATIENCE_S, holds_within
 
 _READY = (
     "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"
@@ -113,15 +113,15 @@ class Page:
         self.clock_s += 1.0
         self.dashboard.tick(self.clock_s)
 
-    def until(self, holds: Callable[[], bool | None], seconds: float = 60.0) -> None:
+    def until(self, holds: Callable[[], bool | None], seconds: float = PATIENCE_S) -> None:
         """Draw until something holds on the page."""
-        deadline = time.monotonic() + seconds
-        while True:
+
+        def drawn_holds() -> bool | None:
             self.draw()
-            if holds():
-                return
-            assert time.monotonic() < deadline, "it never came to hold"
-            self.page.wait_for_timeout(60)
+            return holds()
+
+        came = holds_within(seconds, drawn_holds, lambda: self.page.wait_for_timeout(60))
+        assert came, "it never came to hold"
 
     def text(self, name: str) -> str:
         """The text of one of our own elements."""

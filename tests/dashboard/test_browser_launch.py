@@ -147,8 +147,4 @@ def estimates_in(folder: Path) -> list[tuple[Any, ...]]:
 
 def holds(page, condition: Callable[[], bool]) -> bool:
     """Whether something comes to hold while the browser works."""
-    for _ in range(1200):
-        if condition():
-            return True
-        page.wait_for_timeout(50)
-    return False
+    return holds_within(PATIENCE_S, condition, lambda: page.wait_for_timeout(50))

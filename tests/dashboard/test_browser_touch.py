@@ -53,9 +53,9 @@ def menu_on(page: Page, place: np.ndarray, word: str) -> None:
     )
     page.page.mouse.click(*page.pixels(place[None])[0], button="right")
     menu = page.page.get_by_test_id("menu")
-    page.until(lambda: menu.count() == 1 and menu.is_visible(), 15)
+    page.until(lambda: menu.count() == 1 and menu.is_visible())
     menu.get_by_role("button", name=word, exact=True).click()
-    page.until(lambda: menu.count() == 0, 15)
+    page.until(lambda: menu.count() == 0)
 
 
 def waiting(page: Page) -> str:
@@ -76,7 +76,7 @@ def one_step(page: Page) -> None:
 def test_a_node_is_killed_by_its_menu_after_a_ghost_has_said_so(page: Page):
     node = free_node(page)
     menu_on(page, places(page)[node], "kill")
-    page.until(lambda: f"kill node {node:02d}" in waiting(page), 15)
+    page.until(lambda: f"kill node {node:02d}" in waiting(page))
     page.until(lambda: page.part("/pending/lines")["shown"] and bool(parts(page, "/pending/word")))
     assert page.part("/pending/word0")["text"] == "next step: kill"
     one_step(page)
@@ -107,7 +107,7 @@ def _to_others(seen: np.ndarray) -> np.ndarray:
 def test_a_link_is_cut_by_its_menu(page: Page):
     link = far_link(page)
     menu_on(page, places(page)[list(link)].mean(axis=0), "cut")
-    page.until(lambda: "cut the link" in waiting(page), 15)
+    page.until(lambda: "cut the link" in waiting(page))
     one_step(page)
     page.until(lambda: page.text("cut").startswith("1 /"))
     menu_on(page, places(page)[list(link)].mean(axis=0), "heal")
@@ -124,14 +124,21 @@ def open_link(page: Page) -> tuple[int, int]:
 
 
 def drag(page: Page, start: int, end: int) -> None:
+    """Draw from a node to another; let go where the picture shows that the line has arrived."""
     first, second = np.array(page.pixels(places(page)[[start, end]]))
+
+    def arrived() -> bool:
+        line = page.part("/pending/drawing")
+        ending = np.array(line["points"][-3:])
+        return line["shown"] and bool(np.hypot(*(page.pixels(ending[None])[0] - second)) < 4)
+
     page.page.mouse.move(*first)
     page.page.wait_for_timeout(200)
     page.page.mouse.down()
     for part in np.linspace(0, 1, 13)[1:]:
         page.page.mouse.move(*(first + part * (second - first)))
         page.page.wait_for_timeout(40)
-    page.page.wait_for_timeout(400)
+    page.until(arrived)
     page.page.mouse.up()
 
 
@@ -139,7 +146,7 @@ def test_a_link_that_is_drawn_is_cut_and_healed_when_it_is_drawn_again(page: Pag
     first, second = open_link(page)
     for words, state in (("cut the link", "1 /"), ("heal the link", "0 /")):
         drag(page, first, second)
-        page.until(lambda words=words: words in waiting(page), 15)
+        page.until(lambda words=words: words in waiting(page))
         one_step(page)
         page.until(lambda state=state: page.text("cut").startswith(state))
     assert not page.part("/pending/drawing")["shown"]

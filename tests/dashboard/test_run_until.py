@@ -11,7 +11,7 @@ from concord.dashboard.frames.live import LiveNetwork
 from concord.dashboard.seeking.breakpoint import QUANTITIES, read_breakpoint
 from concord.dashboard.serve import open_network
 from concord.runtime.network.network_file import read_network
-from tests.processes import CONCORD, family, holds_within
+from tests.processes import CONCORD, PATIENCE_S, family, holds_within
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,12 +34,12 @@ def dashboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dashboard]:
         page.close()
 
 
-def draw_until(dashboard: Dashboard, holds: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < deadline, "it never came to hold"
+def draw_until(dashboard: Dashboard, holds: Callable[[], bool]) -> None:
+    def draw() -> None:
         dashboard.tick(time.monotonic())
         time.sleep(0.02)
+
+    assert holds_within(PATIENCE_S, holds, draw), "it never came to hold"
 
 
 def look_for(dashboard: Dashboard, words: str) -> None:

@@ -110,7 +110,6 @@ def test_a_lie_that_ends_a_network_without_keys_leaves_a_sentence(tmp_path: Path
         await_network(endpoint).close()
         stranger = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0), [], 1)
 
-
         def ended() -> bool:
             """The stranger says it again: the recorder may not have listened yet."""
             stranger.send("finished", FINISHED)

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from concord.filters.gaussian import Gaussian
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
+from tests.processes import PATIENCE_S, holds_within
 
 pytestmark = pytest.mark.slow
 
@@ -225,9 +225,7 @@ def test_ctrl_c_keeps_finished_entries_and_the_same_command_goes_on(tmp_path: Pa
         command, cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE, text=True
     )
     kept = tmp_path / "out" / KEPT
-    until = time.monotonic() + 60
-    while not list(kept.glob("*/*.npz")) and time.monotonic() < until:
-        time.sleep(0.05)
+    assert holds_within(PATIENCE_S, lambda: list(kept.glob("*/*.npz")))
     os.killpg(started.pid, signal.SIGINT)
     _, said = started.communicate(timeout=600)
     assert started.returncode == 130, said

@@ -27,6 +27,7 @@ from concord.plants.vehicle.drive_log import write_drive
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.identification.simulated_log import TRUE, simulated_log
 from tests.pages import ROOT
+from tests.processes import PATIENCE_S, holds_within
 
 pytestmark = pytest.mark.slow
 
@@ -196,10 +197,8 @@ def test_a_sweep_killed_at_random_moments_goes_on_to_the_same_bits(tmp_path: Pat
         started = subprocess.Popen(
             [*command, str(out)], cwd=ROOT, start_new_session=True, stderr=subprocess.DEVNULL
         )
-        until = time.monotonic() + 60
         # One piece more, and then some: no run of the sweep is for nothing.
-        while len(list(folder_of(out).glob("*.npz"))) <= kept and time.monotonic() < until:
-            time.sleep(0.02)
+        holds_within(PATIENCE_S, lambda: len(list(folder_of(out).glob("*.npz"))) > kept)  # noqa: B023
         time.sleep(drawn.uniform(0, 0.3))
         os.killpg(started.pid, signal.SIGKILL)
         started.wait()

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
+from tests.processes import PATIENCE_S, holds_within
 
 pytestmark = pytest.mark.slow
 
@@ -226,14 +226,15 @@ def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Pa
 
 def group_ends(group: int, within_s: float) -> bool:
     """Whether no process of the group is left; Python's own helpers notice a moment later."""
-    until = time.monotonic() + within_s
-    while time.monotonic() < until:
+
+    def is_gone() -> bool:
         try:
             os.killpg(group, 0)
         except ProcessLookupError:
             return True
-        time.sleep(0.05)
-    return False
+        return False
+
+    return holds_within(within_s, is_gone)
 
 
 @pytest.mark.slow
@@ -249,9 +250,7 @@ def test_ctrl_c_keeps_finished_pieces_and_ends_every_worker(tmp_path: Path):
         command, cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE, text=True
     )
     folder = folder_of(tmp_path / "s.nc")
-    until = time.monotonic() + 60
-    while not list(folder.glob("*.npz")) and time.monotonic() < until:
-        time.sleep(0.05)
+    assert holds_within(PATIENCE_S, lambda: list(folder.glob("*.npz")))
     os.killpg(started.pid, signal.SIGINT)
     _, said = started.communicate(timeout=600)
     assert started.returncode == 130
