@@ -31,7 +31,7 @@ def check_memory(scenario: Scenario, runs: int = 1, messages: bool = False) -> N
     if scenario.steps * scenario.nodes * runs <= _SMALL:
         return
     check_ranges(scenario)
-    definition_of(scenario).check(scenario)
+    definition_of(scenario).refuse(scenario)
     size = f"--steps {scenario.steps} of {scenario.nodes} nodes"
     many = f" in {runs} runs" if runs > 1 else ""
     cure = f"use fewer --steps{', --runs' if runs > 1 else ''} or --nodes"

@@ -87,7 +87,7 @@ def _rebuilt(
         # Everything that the prior says is of step 0.
         prior = Gaussian(np.array(changed.prior_mean), np.array(changed.prior_cov))
         earlier = EarlierBelief(prior, 0)
-    if earlier is not None and definition_of(changed.scenario).wiring is None:
+    if earlier is not None and not definition_of(changed.scenario).wirings:
         model = definition_of(changed.scenario).model(changed.scenario)
         if keeps_sets:
             belief = earlier.set_at_step(step - 1, model)
@@ -104,8 +104,9 @@ def _rebuilt(
 def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> AnyEstimator:
     scenario = setup.scenario
     definition = definition_of(scenario)
-    if definition.wiring is not None:
-        return definition.wiring.estimator(setup, node, bus, beginning)
+    wiring = definition.wiring(scenario)
+    if wiring is not None:
+        return wiring.estimator(setup, node, bus, beginning)
     context = NodeContext(
         node,
         rule_context(setup, any(node in row for row in bus.schedule.contender_table)),

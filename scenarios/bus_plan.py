@@ -107,7 +107,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     Raises:
         ValueError: there is no such schedule or arbiter here.
     """
-    wiring = definition_of(scenario).wiring
+    wiring = definition_of(scenario).wiring(scenario)
     if wiring is not None and wiring.schedule is not None:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule
@@ -179,6 +179,7 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
+    wiring = definition_of(scenario).wiring(scenario)
     _check_relay(schedule, chosen)
     request = BusRequest(
         schedule,
@@ -186,7 +187,7 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         arbiter_named(arbiter_of(chosen.schedule)),
         _classes(scenario, schedule),
         latch_delay_of(scenario.rule) or 0.0,
-        None if (wiring := definition_of(scenario).wiring) is None else wiring.bid_span,
+        None if wiring is None else wiring.bid_span,
     )
     return _BUSES[type(chosen)](chosen, request)
 

@@ -43,7 +43,7 @@ def build_faults(setup: Setup, bus: Bus) -> Faults:
 def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     """Return the equipment of a setup's network that faults can strike."""
     scenario, number, codec = setup.scenario, "", None
-    if definition_of(scenario).wiring is None:
+    if not definition_of(scenario).wirings:
         rule = rule_of(scenario)
         number = "" if rule.share is None else wire_number(scenario)
         if rule.share is not None and rule.shares_beliefs:

@@ -168,7 +168,7 @@ def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFi
     sets, and where sensors have no filter."""
     scenario = setup.scenario
     definition = definition_of(scenario)
-    if definition.wiring is not None or rule_of(scenario).baseline_filter is not None:
+    if definition.wirings or rule_of(scenario).baseline_filter is not None:
         return None
     own_filter = filter_of(setup)
     filters = LocalFilters(

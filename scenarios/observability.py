@@ -48,7 +48,7 @@ def observability(setup: Setup, most_steps: int = 60) -> Observability:
     scenario = setup.scenario
     definition = definition_of(scenario)
     n = len(setup.prior_mean)
-    if definition.wiring is not None or len(setup.initial_state) != n:
+    if definition.wirings or len(setup.initial_state) != n:
         raise ValueError(
             f"scenario {scenario.name}: observability is linearised along the plant's own state, "
             "which its filters do not share; leave --scenario out"

@@ -51,7 +51,7 @@ def prepare(scenario: Scenario) -> Setup:
     check_ranges(scenario)
     scenario = with_pinned_arbiter(scenario)
     definition = definition_of(scenario)
-    definition.check(scenario)
+    definition.refuse(scenario)
     plant = definition.plant(scenario)
     positions = plant.positions(0)
     radius = definition.radio_range_m if positions is not None else None
@@ -115,12 +115,13 @@ def check_network(setup: Setup) -> None:
     scenario = setup.scenario
     check_ranges(scenario)
     definition = definition_of(scenario)
-    definition.check(scenario)
-    if definition.wiring is None:
+    definition.refuse(scenario)
+    wiring = definition.wiring(scenario)
+    if wiring is None:
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
         _check_reach(setup)
     else:
-        definition.wiring.check(setup)
+        wiring.check(setup)
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
     if isinstance(scenario.bus, UserBus):
         schedule = build_schedule(scenario, setup.neighbours)
@@ -155,7 +156,7 @@ def _check_filter(setup: Setup) -> None:
     scenario = setup.scenario
     definition = definition_of(scenario)
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    if definition.wiring is not None:
+    if definition.wirings:
         check_prior(scenario.filter, prior)
         return
     plant = definition.plant(scenario)
@@ -182,7 +183,7 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     for name in asked:
         if name not in SETTINGS:
             raise unknown_name("setting", name, SETTINGS)
-    if definition_of(scenario).wiring is not None:
+    if definition_of(scenario).wirings:
         raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
     settings = {**before, **asked}
     changed, left = scenario.with_known(**settings)
@@ -208,7 +209,7 @@ def with_settings(setup: Setup, settings: Settings) -> Setup:
 
 def share_bytes(setup: Setup) -> int:
     """Length of the longest share in the network of this setup."""
-    wiring = definition_of(setup.scenario).wiring
+    wiring = definition_of(setup.scenario).wiring(setup.scenario)
     if wiring is not None:
         return wiring.share_bytes(setup.scenario)
     return share_size(setup.scenario, len(setup.prior_mean))

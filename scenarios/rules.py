@@ -53,8 +53,6 @@ from concord.scenarios.types.filters import SetFilter
 from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
 from concord.scenarios.types.rules import (
     NumberRule,
-    Reception,
-    TrackIntersection,
     TrimmedCovarianceIntersection,
     UserRule,
     hold_of,
@@ -112,8 +110,7 @@ def rule_of(scenario: Scenario) -> Rule:
     """
     if isinstance(scenario.rule, UserRule):
         return _user_rule(scenario.rule.where)
-    if isinstance(scenario.rule, Reception | TrackIntersection):
-        why = scenario.rule.unavailable
+    if why := scenario.rule.unavailable:
         raise ValueError(f"rule {scenario.rule.name}: {why}; use one of these, or another rule")
     if scenario.rule.name not in _RULES:
         raise unknown_name("rule", scenario.rule.name, _RULES)
@@ -129,8 +126,7 @@ def _user_rule(source: ValueSource) -> Rule:
 
 def is_set_valued(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
-    # The rules of some networks are not in the table.
-    if isinstance(scenario.rule, Reception | TrackIntersection):
+    if scenario.rule.unavailable:
         return isinstance(scenario.filter, SetFilter)
     return rule_of(scenario).set_valued
 

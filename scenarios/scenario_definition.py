@@ -1,6 +1,7 @@
 """A scenario definition: the functions that build its parts, and how errors are scored."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ from concord.nodes.lanes.links import Links
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
 from concord.scenarios.node_context import Beginning
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.setup import Setup
 
 
@@ -71,24 +72,24 @@ class Score(NamedTuple):
 
 
 class NetworkWiring(NamedTuple):
-    """Building blocks of a network in which not every node filters and fuses.
+    """Building blocks of a rule of a network in which not every node filters and fuses.
 
     Attributes:
-        schedule: which nodes may publish in which cycle; None for the schedule of the options.
         share_bytes: length of a share.
         estimator: (setup, node, bus, where the node begins) -> that of the node.
+        schedule: which nodes may publish in which cycle; None for the schedule of the options.
         batched: (setup, bus, links) -> all nodes of many runs; None where `lacking` refuses all.
-        names: what the options rule, schedule and hold may be here.
+        names: what the options schedule and hold may be here, where not all may.
         bid_span: least and largest bid, where nodes bid with logarithms; None otherwise.
         check: raises ValueError for a network that it cannot be.
         lacking: what of a scenario has no array form; None if all has.
     """
 
-    schedule: Callable[[Scenario], Schedule] | None
     share_bytes: Callable[[Scenario], int]
     estimator: Callable[[Setup, int, Bus, Beginning], AnyEstimator]
-    batched: Callable[[Setup, Bus, Links], BatchedRule] | None
-    names: dict[str, tuple[str, ...]]
+    schedule: Callable[[Scenario], Schedule] | None = None
+    batched: Callable[[Setup, Bus, Links], BatchedRule] | None = None
+    names: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     bid_span: tuple[int, int] | None = None
     check: Callable[[Setup], None] = lambda _: None
     lacking: Callable[[Scenario], str | None] = lambda _: None
@@ -112,7 +113,8 @@ class ScenarioDefinition(NamedTuple):
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
         points: the sigma points of unscented filters, None for those of concord.
-        wiring: of a network in which not every node filters and fuses.
+        wirings: by the name of its rule, a network in which not every node filters and fuses; empty
+            where every node does, by any rule.
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
         baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one
             filter that takes the readings of these nodes; None for the one that model and sensors
@@ -136,7 +138,7 @@ class ScenarioDefinition(NamedTuple):
     radio_range_m: float | None = None
     all_steps: Callable[[Scenario], int] | None = None
     points: Callable[[Scenario], SigmaPointRule] | None = None
-    wiring: NetworkWiring | None = None
+    wirings: Mapping[str, NetworkWiring] = MappingProxyType({})
     delivery: Callable[[Scenario], Delivery] | None = None
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
@@ -144,6 +146,27 @@ class ScenarioDefinition(NamedTuple):
     without_data: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     late_steps: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
+
+    def wiring(self, scenario: Scenario) -> NetworkWiring | None:
+        """The wiring of the scenario's rule; None where every node filters and fuses.
+
+        Raises:
+            ValueError: the network is not wired for this rule.
+        """
+        if not self.wirings:
+            return None
+        rule, known = scenario.rule.name, " or ".join(self.wirings)
+        require(rule in self.wirings, "rule", rule, f"{known}: {scenario.name} has no other rule")
+        return self.wirings[rule]
+
+    def refuse(self, scenario: Scenario) -> None:
+        """Refuse a scenario for which there is no wiring, or that it cannot be.
+
+        Raises:
+            ValueError: naming the option, its value and the cure.
+        """
+        self.wiring(scenario)
+        self.check(scenario)
 
     def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:
         """The sensors of all nodes: one for all where the scenario has such, else one for each."""

@@ -53,8 +53,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
     Each names the rule, the condition with its numbers, and what to use instead. Sources are given
     where the conditions are: the functions of `filters/`.
     """
-    wiring = definition_of(setup.scenario).wiring
-    if wiring is not None:
+    if definition_of(setup.scenario).wirings:
         return ()
     return (
         *_idle_weights(setup),

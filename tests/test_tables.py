@@ -61,6 +61,9 @@ def entries() -> Iterator[Entry]:
     for table, (group, names, beside) in tables.items():
         for name in names:
             yield Entry(group, table, name, {**beside, table: name})
+    for named, definition in definitions().items():
+        for rule in definition.wirings:
+            yield Entry("rule", f"{named}.rule", rule, {"scenario": named, "rule": rule})
     for word, fault in EVERY_FAULT.items():
         changes = [f"2 {fault.example}", *([f"4 {fault.withdrawal}"] if fault.withdrawal else [])]
         yield Entry("faults", "fault", word, {"changes": tuple(changes)})

@@ -44,9 +44,9 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "buses": list(offered_options()["bus"].names),
     }
     own = {
-        name: definition.wiring.names
+        name: {"rule": tuple(definition.wirings), **wiring.names}
         for name, definition in definitions().items()
-        if definition.wiring
+        for wiring in definition.wirings.values()
     }
     if options.json:
         scenarios = {

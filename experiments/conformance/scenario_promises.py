@@ -39,7 +39,7 @@ def checked_scenario(scenario: Scenario) -> Scenario:
         ValueError: it is not, or it cannot run.
     """
     prepare(scenario)
-    if definition_of(scenario).wiring is not None:
+    if definition_of(scenario).wirings:
         raise ValueError(
             f"scenario {scenario.name}: its nodes are the sensors and the estimator of a "
             "measurement bus; check a scenario whose nodes observe one plant"

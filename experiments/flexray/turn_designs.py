@@ -162,7 +162,7 @@ def linear_network(setup: Setup) -> LinearSensing:
     """
     scenario, definition = setup.scenario, definition_of(setup.scenario)
     n = len(setup.prior_mean)
-    if definition.wiring is not None or len(setup.initial_state) != n:
+    if definition.wirings or len(setup.initial_state) != n:
         raise ValueError(f"scenario {scenario.name}: its nodes share no linear plant")
     model, plant = definition.model(scenario), definition.plant(scenario)
     scale = np.sqrt(np.diag(np.array(setup.prior_cov)))

@@ -74,7 +74,7 @@ def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     definition = definition_of(setup.scenario)
     steps, n = histories.truth.shape[1:]
     # The bound's model does not cover another wiring, a set-valued rule or a gate.
-    if definition.wiring is not None or not filters_step_by_step(setup):
+    if definition.wirings or not filters_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
     assert histories.readings is not None, "keep the readings"
     groups = definition.sensor_groups(setup.scenario)

@@ -41,7 +41,7 @@ def labelled_beside(setup: Setup, trace: Trace, first_step: int) -> LabelledFigu
     estimates, or the network was changed), or where it would take long.
     """
     scenario = setup.scenario
-    if definition_of(scenario).wiring is not None or is_set_valued(scenario):
+    if definition_of(scenario).wirings or is_set_valued(scenario):
         return None
     if isinstance(scenario.rule, MeasurementFlooding):
         return None

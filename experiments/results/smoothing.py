@@ -60,7 +60,7 @@ def check_smoothing(setup: Setup) -> None:
             f"--smooth with --filter {choice.name}: the smoother has one model; leave it out, or "
             "use --filter ukf"
         )
-    if definition.wiring is not None or not filters_step_by_step(setup):
+    if definition.wirings or not filters_step_by_step(setup):
         raise ValueError(
             f"--smooth with --rule {setup.scenario.rule.name} on {setup.scenario.name}: the filter "
             "that hears everything keeps no beliefs of each step; leave it out, or use a rule such "

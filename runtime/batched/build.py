@@ -44,8 +44,8 @@ def without_array_form(scenario: Scenario) -> str | None:
         return "faults but kills, cuts and losses (--changes)"
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
-    if definition.wiring is not None:
-        return definition.wiring.lacking(scenario)
+    if (wiring := definition.wiring(scenario)) is not None:
+        return wiring.lacking(scenario)
     for held in (scenario, *_set_in(scenario)):
         rule = rule_of(held)
         if (lacking := rule.lacking(held)) is not None:
@@ -151,7 +151,7 @@ def _segments(
 
 def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> RunSettings:
     """Rule and bus of a setup whose settings are those that stand."""
-    wiring = definition_of(setup.scenario).wiring
+    wiring = definition_of(setup.scenario).wiring(setup.scenario)
     if wiring is None:
         rule = rule_of(setup.scenario).batched(_batch_context(setup, bus, links, standing))
     else:

@@ -115,15 +115,17 @@ def measured_definition(defaults: Scenario, plant_of: PlantOf, score: Score) -> 
         model=lambda scenario: plant_of(scenario).model,
         sensor=lambda scenario, node: plant_of(scenario).sensor(node),
         score=score,
-        wiring=NetworkWiring(
-            schedule=lambda scenario: _schedule(plant_of(scenario), scenario),
-            share_bytes=lambda scenario: _codec(plant_of(scenario), scenario).size,
-            estimator=partial(_estimator, plant_of),
-            batched=partial(_batched, plant_of),
-            names=_NAMES,
-            bid_span=BID_SPAN,
-            lacking=_lacking,
-        ),
+        wirings={
+            "reception": NetworkWiring(
+                share_bytes=lambda scenario: _codec(plant_of(scenario), scenario).size,
+                estimator=partial(_estimator, plant_of),
+                schedule=lambda scenario: _schedule(plant_of(scenario), scenario),
+                batched=partial(_batched, plant_of),
+                names=_NAMES,
+                bid_span=BID_SPAN,
+                lacking=_lacking,
+            )
+        },
         baseline_filter=partial(_baseline_filter, plant_of),
     )
 
@@ -146,7 +148,7 @@ def _schedule(on_bus: PlantOnBus, scenario: Scenario) -> Schedule:
 
 
 def _reception(scenario: Scenario) -> Reception:
-    assert isinstance(scenario.rule, Reception), "check refuses others"
+    assert isinstance(scenario.rule, Reception), "the table of rules chose it"
     return scenario.rule
 
 
@@ -300,7 +302,6 @@ def _check_losers(scenario: Scenario, contenders: set[int]) -> None:
 
 
 _NAMES = {
-    "rule": ("reception",),
     "schedule": tuple(_SCHEDULES),
     "hold": tuple(_SILENT),
 }

@@ -76,7 +76,7 @@ def on_a_measurement_bus(
         steps=steps,
     ).with_(filter=receiver)
     definition = measured_definition(defaults, lambda _: on_bus, score)
-    definition.check(defaults)
+    definition.refuse(defaults)
     return user_definition(kept_source(definition)).defaults
 
 

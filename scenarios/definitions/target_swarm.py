@@ -9,23 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.plants.scanning import ScanningSensor
-from concord.scenarios.definitions.swarm_tracking import (
-    baseline_filter,
-    estimator,
-    model_of,
-    plant_of,
-    scan_codec_of,
-    share_bytes,
-)
+from concord.scenarios.definitions.swarm_scans import FLOODED_SCANS
+from concord.scenarios.definitions.swarm_tracking import baseline_filter, model_of, plant_of
+from concord.scenarios.definitions.swarm_tracks import SHARED_TRACKS
 from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
-from concord.scenarios.labelled import check_labelled
 from concord.scenarios.scenario import Scenario, require
-from concord.scenarios.scenario_definition import NetworkWiring, ScenarioDefinition, Score
-from concord.scenarios.setup import Setup
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import TargetSwarm
-from concord.scenarios.types.rules import MeasurementFlooding, TrackIntersection
+from concord.scenarios.types.rules import MeasurementFlooding
 
 # Birth and the first confirmation of the targets that are there from the start.
 _SETTLED_STEPS = 0
@@ -55,13 +48,6 @@ class DetectionSensor:
 
 
 def _check(scenario: Scenario) -> None:
-    rule = scenario.rule
-    require(
-        isinstance(rule, MeasurementFlooding | TrackIntersection),
-        "rule",
-        rule.name,
-        "labelled or track-ci: nodes of target-swarm flood their scans or share their tracks",
-    )
     require(
         isinstance(scenario.filter, UnscentedFilter),
         "filter",
@@ -70,27 +56,6 @@ def _check(scenario: Scenario) -> None:
     )
     # Placing the nodes is what can fail, and says why.
     plant_of(scenario)
-    if isinstance(rule, MeasurementFlooding):
-        _check_flooding(scenario, rule)
-
-
-def _check_flooding(scenario: Scenario, rule: MeasurementFlooding) -> None:
-    why = "a record is a scan, and its tracker judges the detections"
-    require(rule.record_number == "int16", "record-number", rule.record_number, f"int16: {why}")
-    for option in ("gate_probability", "withhold_below", "smooth_steps"):
-        value = getattr(rule, option)
-        require(value == 0, option, value, f"0: {why}")
-    # Finding room for a detection is what else can fail, and says why.
-    scan_codec_of(scenario)
-
-
-def _check_network(setup: Setup) -> None:
-    if isinstance(setup.scenario.rule, MeasurementFlooding):
-        check_labelled(setup.scenario, setup.neighbours, None)
-
-
-def _without_arrays(scenario: Scenario) -> str | None:
-    return "target-swarm"
 
 
 DEFINITION = ScenarioDefinition(
@@ -108,14 +73,6 @@ DEFINITION = ScenarioDefinition(
     sensor=lambda scenario, node: DetectionSensor(plant_of(scenario).sensors[node]),
     score=Score(states=(0,), unit="m", nees_states=(0,), first_step=_SETTLED_STEPS),
     radio_range_m=RADIO_RANGE_M,
-    wiring=NetworkWiring(
-        schedule=None,
-        share_bytes=share_bytes,
-        estimator=estimator,
-        batched=None,
-        names={"rule": ("labelled", "track-ci")},
-        check=_check_network,
-        lacking=_without_arrays,
-    ),
+    wirings={"labelled": FLOODED_SCANS, "track-ci": SHARED_TRACKS},
     baseline_filter=baseline_filter,
 )

@@ -21,7 +21,12 @@ HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_s
 
 
 class FusionRule(Choice, frozen=True, kw_only=True):
-    """A fusion rule of the network."""
+    """A fusion rule of the network.
+
+    `unavailable` says why only some scenarios have the rule; empty for a rule of all.
+    """
+
+    unavailable: ClassVar[str] = ""
 
 
 class NumberRule(FusionRule, frozen=True, kw_only=True):

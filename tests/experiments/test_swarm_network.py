@@ -29,7 +29,8 @@ from concord.runtime import in_process
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node
-from concord.scenarios.definitions.swarm_tracking import START, new_tracker, plant_of
+from concord.scenarios.definitions.swarm_scans import new_tracker
+from concord.scenarios.definitions.swarm_tracking import START, plant_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup

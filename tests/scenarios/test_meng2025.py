@@ -152,7 +152,7 @@ def test_short_numbers_on_the_wire_and_frames_that_get_lost():
         ({"rounds": 2}, "--rounds 2: must be 1: a step is one slot"),
         ({"schedule": "dynamic", "trigger": 1.0}, "--trigger 1.0: must be 0"),
         ({"static_slots": 6}, "--static-slots 6: must be in 0..5"),
-        ({"rule": "wac", "hold": "decayed"}, "unknown rule for a measurement bus 'wac'.*reception"),
+        ({"rule": "wac", "hold": "decayed"}, "--rule wac: must be reception: meng2025 has no "),
         ({"filter": "ellipsoid"}, "--filter ellipsoid: the noise of meng2025 has no bound"),
         ({"bid_weights": "1 1 1"}, "--bid-weights '1 1 1': must be 6 positive numbers"),
         ({"bid_weights": "1 1 1 1 1 0"}, "must be 6 positive numbers"),

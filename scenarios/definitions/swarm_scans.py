@@ -1,0 +1,159 @@
+"""The rule `labelled` of `target-swarm`: nodes flood their scans, and track by all of them."""
+
+import dataclasses
+from functools import lru_cache
+
+import numpy as np
+
+from concord.bus.bus import Bus
+from concord.filters.gaussian import Gaussian
+from concord.filters.tracking.tracker import Scan, Tracked, track
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.rules.all_sensors import AllSensors
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_frame import LabelledFrameCodec, labelled_bytes, least_limit
+from concord.nodes.tracking.scan_codec import ScanCodec, scan_codec
+from concord.nodes.tracking.scan_flooding import (
+    KeptTracks,
+    RecordsAlone,
+    ScanFlooding,
+    StepRecords,
+)
+from concord.plants.scanning import ScanningSensor
+from concord.scenarios.definitions.swarm_tracking import (
+    START,
+    STATES,
+    UNDETECTED,
+    model_of,
+    plant_of,
+    settings_of,
+)
+from concord.scenarios.filters import build_filter
+from concord.scenarios.labelled import (
+    check_labelled,
+    choice_of,
+    digest_of,
+    flooding_of,
+    largest_share,
+    window_of,
+)
+from concord.scenarios.node_context import Beginning
+from concord.scenarios.scenario import Scenario, require
+from concord.scenarios.scenario_definition import NetworkWiring
+from concord.scenarios.setup import Setup
+
+# Nodes of one process are at most so many steps apart.
+_LEAD_STEPS = 4
+
+
+def _check(setup: Setup) -> None:
+    rule = flooding_of(setup.scenario)
+    why = "a record is a scan, and its tracker judges the detections"
+    require(rule.record_number == "int16", "record-number", rule.record_number, f"int16: {why}")
+    for option in ("gate_probability", "withhold_below", "smooth_steps"):
+        value = getattr(rule, option)
+        require(value == 0, option, value, f"0: {why}")
+    # Finding room for a detection is what else can fail, and says why.
+    _scan_codec(setup.scenario)
+    check_labelled(setup.scenario, setup.neighbours, None)
+
+
+def _share_bytes(scenario: Scenario) -> int:
+    return largest_share(scenario, STATES)
+
+
+def _scan_codec(scenario: Scenario) -> ScanCodec:
+    """How scans are written.
+
+    Raises:
+        ValueError: a share has no room for a detection.
+    """
+    sensor = plant_of(scenario).sensors[0]
+    head = least_limit(scenario.nodes, digest_of(scenario), labelled_bytes(0))
+    least, most = sensor.span()
+    return scan_codec(least, most, sensor.sensor.noise_std, _share_bytes(scenario) - head)
+
+
+@lru_cache(maxsize=2)
+def _tracker(scenario: Scenario, window_steps: int) -> KeptTracks:
+    """Return the tracker of nodes; those of one process share it."""
+    return new_tracker(scenario, window_steps)
+
+
+def new_tracker(
+    scenario: Scenario, window_steps: int, arrival: np.random.Generator | None = None
+) -> KeptTracks:
+    """Return a tracker of nodes that no other node shares.
+
+    `arrival` draws an order of scans and detections, on which nothing may depend.
+    """
+    codec, settings = _scan_codec(scenario), settings_of(scenario)
+    sensors = [_as_read(one, codec) for one in plant_of(scenario).sensors]
+
+    def after(before: Tracked, step: int, records: StepRecords) -> Tracked:
+        scans = [_scan(codec, sensors[source], source, record) for source, record in records]
+        if arrival is not None:
+            arrival.shuffle(scans)
+            scans = [one._replace(detections=arrival.permutation(one.detections)) for one in scans]
+        return track(before.tracks, scans, settings, step)
+
+    return KeptTracks(after, window_steps + _LEAD_STEPS)
+
+
+def _scan(codec: ScanCodec, sensor: ScanningSensor, source: int, record: bytes) -> Scan:
+    detections = codec.detections(record)
+    if len(detections) == codec.readings:
+        # Farther ones may have found no room in the record.
+        sensor = dataclasses.replace(sensor, reach_m=float(detections[:, 0].max()))
+    return Scan(source, sensor, detections)
+
+
+def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
+    """Return the sensor of detections that were rounded."""
+    range_std_m, bearing_std_rad = np.sqrt(np.diagonal(sensor.noise_cov + codec.rounding_cov))
+    exact = sensor.sensor
+    rounded = dataclasses.replace(
+        exact, range_std_m=float(range_std_m), bearing_std_rad=float(bearing_std_rad)
+    )
+    return dataclasses.replace(sensor, sensor=rounded)
+
+
+def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanFlooding:
+    scenario, neighbours = setup.scenario, setup.neighbours
+    codec, window_steps = _scan_codec(scenario), window_of(scenario, neighbours)
+    codecs = [codec] * scenario.nodes
+    frames = LabelledFrameCodec(
+        codecs,
+        BeliefCodec(STATES, "<f4"),
+        window_steps,
+        digest_of(scenario),
+        _share_bytes(scenario),
+    )
+    window = RecordsAlone(
+        model_of(scenario),
+        build_filter(scenario.filter, STATES),
+        AllSensors((), scenario.nodes, (1 + codec.readings, codec.channels)),
+        codecs,
+    )
+    flooding = LabelledFlooding(
+        node=node,
+        neighbours=neighbours,
+        prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
+        own=(),
+        filter=window,
+        frames=frames,
+        choice=choice_of(scenario, frames),
+        schedule=bus.schedule,
+        rounds=scenario.rounds,
+        first_step=beginning.step,
+        first_cycle=beginning.cycle,
+    )
+    return ScanFlooding(flooding, _tracker(scenario, window_steps), START, UNDETECTED)
+
+
+FLOODED_SCANS = NetworkWiring(
+    share_bytes=_share_bytes,
+    estimator=_estimator,
+    check=_check,
+    lacking=lambda _: "target-swarm",
+)

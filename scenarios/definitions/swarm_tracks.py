@@ -1,0 +1,36 @@
+"""The rule `track-ci` of `target-swarm`: nodes track by their own scans, and share their tracks."""
+
+from concord.bus.bus import Bus
+from concord.nodes.tracking.track_codec import TrackCodec
+from concord.nodes.tracking.track_exchange import TrackExchange
+from concord.plants.scanned_swarm import TARGET_STATES
+from concord.scenarios.definitions.swarm_tracking import UNDETECTED, plant_of, settings_of
+from concord.scenarios.node_context import Beginning
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import NetworkWiring
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import TrackIntersection
+
+
+def _codec(scenario: Scenario) -> TrackCodec:
+    assert isinstance(scenario.rule, TrackIntersection), "the table of rules chose it"
+    return TrackCodec(TARGET_STATES, scenario.rule.most_tracks)
+
+
+def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> TrackExchange:
+    return TrackExchange(
+        node,
+        len(setup.neighbours[node]),
+        plant_of(setup.scenario).sensors[node],
+        settings_of(setup.scenario),
+        _codec(setup.scenario),
+        UNDETECTED,
+        beginning.step,
+    )
+
+
+SHARED_TRACKS = NetworkWiring(
+    share_bytes=lambda scenario: _codec(scenario).size,
+    estimator=_estimator,
+    lacking=lambda _: "target-swarm",
+)
