@@ -98,7 +98,7 @@ class InteractingModels:
         """The stacked belief of a belief (..., n): the same in all models, which are alike."""
         models, n = len(self.modes), self.states
         lanes = belief.mean.shape[:-1]
-        return self._stacked(
+        return self.stacked(
             np.broadcast_to(belief.mean[..., None, :], (*lanes, models, n)),
             np.broadcast_to(belief.cov[..., None, :, :], (*lanes, models, n, n)),
             np.zeros((*lanes, models)),
@@ -106,6 +106,8 @@ class InteractingModels:
 
     def moments(self, belief: Gaussian) -> Gaussian:
         """Mean (..., n) and covariance (..., n, n) of a stacked belief."""
+        if len(self.modes) == 1:
+            return belief
         means, covs, log_probabilities = self.apart(belief)
         return _merged(np.exp(log_probabilities), means, covs)
 
@@ -125,7 +127,9 @@ class InteractingModels:
             _normalised(odds),
         )
 
-    def _stacked(self, means: np.ndarray, covs: np.ndarray, logs: np.ndarray) -> Gaussian:
+    def stacked(self, means: np.ndarray, covs: np.ndarray, logs: np.ndarray) -> Gaussian:
+        """The stacked belief of means (..., M, n), covs (..., M, n, n), and logarithms (..., M) of
+        what the model probabilities are in proportion to."""
         models, n = len(self.modes), self.states
         size, lanes = stacked_size(n, models), means.shape[:-2]
         odds = logs[..., 1:] - logs[..., :1]
@@ -150,7 +154,7 @@ class InteractingModels:
             moved.append(
                 self.inner.predict(mixed, mode.moved(transition), mode.noise_cov(noise_cov))
             )
-        return self._stacked(*_joined(moved), np.log(after))
+        return self.stacked(*_joined(moved), np.log(after))
 
     def update(
         self,
@@ -184,7 +188,7 @@ class InteractingModels:
         cov = without_rows(cov, np.broadcast_to(missing[..., None, :], innovation.shape))
         # The rows that are missing are alike in all models.
         likelihood = -0.5 * squared - _log_volume(cov)
-        after = self._stacked(*_joined([one.belief for one in found]), logs + likelihood)
+        after = self.stacked(*_joined([one.belief for one in found]), logs + likelihood)
         whole = _merged(np.exp(logs), innovation, cov)
         whitened = multiply(inverse_of_triangle(cholesky(whole.cov)), whole.mean)
         distance = np.vecdot(whitened, whitened)

@@ -21,7 +21,7 @@ from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 from concord.filters.square_root_filter import SquareRootFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
-from concord.plants.motion import TURN_RATE, CoordinatedTurn
+from concord.plants.motion import CoordinatedTurn
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import (
     AdaptiveDualLayer,
@@ -86,7 +86,8 @@ def _straight_and_turning(
     choice: InteractingMultipleModels, points: SigmaPointRule
 ) -> InteractingModels:
     states = points.unit_points.shape[1]
-    straight = Mode(held=(TURN_RATE,), std=choice.turn_rate_std)
+    # The rate of turn is the last state.
+    straight = Mode(held=(states - 1,), std=choice.turn_rate_std)
     return InteractingModels(SigmaPointFilter(points), states, (straight, Mode()), choice.change)
 
 
@@ -109,7 +110,7 @@ _FILTERS: dict[type[FilterBase], FilterEntry] = {
     IteratedTangentFilter: FilterEntry(
         lambda choice, _: IteratedFilter(ExtendedFilter(), choice.iterations), singular=True
     ),
-    InteractingMultipleModels: FilterEntry(_straight_and_turning, models=2),
+    InteractingMultipleModels: FilterEntry(_straight_and_turning, robust=True, models=2),
     MaximumCorrentropy: FilterEntry(
         lambda choice, points: CorrentropyFilter(points, choice.bandwidth, choice.iterations),
         robust=True,

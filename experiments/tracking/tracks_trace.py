@@ -9,7 +9,7 @@ from concord.experiments.tracking.track_log import TrackLog
 from concord.filters.tracking.tracks import report, report_of
 from concord.nodes.messages import Estimate
 from concord.plants.scanned_swarm import paths_of
-from concord.scenarios.definitions.swarm_tracking import tracked_alone
+from concord.scenarios.definitions.swarm_tracking import settings_of, tracked_alone
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.plants import TargetSwarm
 
@@ -63,9 +63,9 @@ def log_alone(
     setup: Setup, nodes: Sequence[int], readings: np.ndarray, paths: np.ndarray
 ) -> TrackLog:
     """The tracks of one tracker that has all scans (steps, N, 1 + D, 2) of these nodes."""
-    log = TrackLog()
+    log, moments = TrackLog(), settings_of(setup.scenario).models.moments
     for step, tracked in enumerate(tracked_alone(setup.scenario, nodes, readings)):
-        log.add(step, paths[step], report(tracked.tracks))
+        log.add(step, paths[step], report(tracked.tracks, moments))
     return log
 
 

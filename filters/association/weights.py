@@ -43,13 +43,13 @@ def association_weights(
     gate_probability: float,
     gate: float,
 ) -> Weights:
-    """Weights of a scan.
+    """Weights of a scan; each track may have further axes, as one of its models.
 
     Args:
-        whitened: (T, D, m), detection minus prediction, times the whitener.
-        whitener: (T, m, m), inverse of the Cholesky factor of the innovation covariance.
-        detection_probability: (T,), of each track by this sensor.
-        existence: (T,), probability that the target of the track is there.
+        whitened: (T, ..., D, m), detection minus prediction, times the whitener.
+        whitener: (T, ..., m, m), inverse of the Cholesky factor of the innovation covariance.
+        detection_probability: (T, ...), of each track by this sensor.
+        existence: (T, ...), probability that the target of the track is there.
         clutter_density: (D,), expected number of clutter detections per unit of the measurement.
         gate_probability: probability that the detection of a target is within the gate.
         gate: greatest squared Mahalanobis distance, the quantile of `gate_probability` of the
@@ -63,6 +63,6 @@ def association_weights(
     distance = np.vecdot(whitened, whitened)
     size = whitened.shape[-1]
     peak = np.abs(np.diagonal(whitener, axis1=-2, axis2=-1)).prod(-1) / (2 * np.pi) ** (size / 2)
-    hit = np.exp(-0.5 * distance) * (existence * detection_probability * peak)[:, None]
+    hit = np.exp(-0.5 * distance) * (existence * detection_probability * peak)[..., None]
     hit = np.where(distance <= gate, hit / clutter_density, 0.0)
     return Weights(1 - existence * detection_probability * gate_probability, hit)

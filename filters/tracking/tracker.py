@@ -5,6 +5,9 @@ association, Musicki and Evans 2004, IEEE Trans. AES 40(3)). A sensor that canno
 detection probability 0 there, and leaves its existence as it is. Functions on values, without
 memory: equal tracks and equal detections give equal tracks, bit for bit. The detections of a scan
 are put in the order of their values first, so the order of their arrival has no effect.
+
+A target may change between models of motion: the belief of a track is then a stacked one
+(`filters/interacting_models.py`), and that of a single model is a plain Gaussian.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +19,7 @@ import numpy as np
 from concord.filters import ukf
 from concord.filters.association.weights import Association, Weights, association_weights
 from concord.filters.gaussian import Gaussian
+from concord.filters.interacting_models import InteractingModels, Mode, stacked_size
 from concord.filters.linalg import (
     cholesky,
     inverse_of_triangle,
@@ -25,8 +29,11 @@ from concord.filters.linalg import (
     times_transposed,
 )
 from concord.filters.moments import Model
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.tracking.tracks import Tracks, joined_tracks
+from concord.filters.tracking.tracks import Tracks, joined_tracks, no_tracks
+
+_TINY = float(np.finfo(float).tiny)
 
 
 class ScanSensor(Protocol):
@@ -76,6 +83,9 @@ class TrackerSettings(NamedTuple):
             no sensor has seen it for long.
         same_within: squared Mahalanobis distance of two states within which they are one target;
             the younger track ends.
+        modes: models of motion between which a target changes.
+        change: probability of a change in a step.
+        unseen_std: standard deviations of the last states, of which a first detection says nothing.
     """
 
     transition: Model
@@ -90,6 +100,31 @@ class TrackerSettings(NamedTuple):
     position: tuple[int, ...] = (0, 2)
     lost_above: float = 100.0
     same_within: float = 2.0
+    modes: tuple[Mode, ...] = (Mode(),)
+    change: float = 0.0
+    unseen_std: tuple[float, ...] = ()
+
+    @property
+    def models(self) -> InteractingModels:
+        """The models of motion, which predict the belief of a track."""
+        states = self.points.unit_points.shape[1]
+        return InteractingModels(SigmaPointFilter(self.points), states, self.modes, self.change)
+
+    @property
+    def start(self) -> "Tracked":
+        """No track."""
+        states = self.points.unit_points.shape[1]
+        return Tracked(no_tracks(stacked_size(states, len(self.modes))), 0)
+
+    def begun(self, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
+        """The beliefs of tracks that begin with states (D, n - u), whose last u are not seen."""
+        if not self.unseen_std:
+            return self.models.begun(Gaussian(mean, cov))
+        seen, unseen = mean.shape[-1], len(self.unseen_std)
+        whole = np.zeros((len(mean), seen + unseen, seen + unseen))
+        whole[:, :seen, :seen], whole[:, seen:, seen:] = cov, np.diag(np.square(self.unseen_std))
+        mean = np.concatenate((mean, np.zeros((len(mean), unseen))), axis=1)
+        return self.models.begun(Gaussian(mean, whole))
 
 
 class Scan(NamedTuple):
@@ -109,20 +144,18 @@ class Tracked(NamedTuple):
 
 def track(tracks: Tracks, scans: Sequence[Scan], settings: TrackerSettings, step: int) -> Tracked:
     """The tracks one step later, given the scans of this step in any order."""
-    belief = tracks.belief
+    belief, models = tracks.belief, settings.models
     if len(tracks.existence):
-        belief = ukf.predict(
-            belief, settings.transition, settings.process_noise_cov, settings.points
-        )
+        belief = models.predict(belief, settings.transition, settings.process_noise_cov)
     tracks = tracks._replace(belief=belief, existence=settings.survival * tracks.existence)
-    places = list(settings.position)
-    tracks = tracks.chosen(belief.cov[:, places, places].sum(axis=1) <= settings.lost_above**2)
+    places, cov = list(settings.position), models.moments(belief).cov
+    tracks = tracks.chosen(cov[:, places, places].sum(axis=1) <= settings.lost_above**2)
     approximated = 0
     for scan in sorted(scans, key=lambda scan: scan.number):
         ordered = scan._replace(detections=in_order(scan.detections))
         tracks, clusters = _scanned(tracks, ordered, settings, step)
         approximated += clusters
-    tracks = _apart(tracks, settings.same_within)
+    tracks = tracks.chosen(_apart(models.moments(tracks.belief), settings.same_within))
     reached = tracks.existence >= settings.confirm_at
     return Tracked(tracks._replace(confirmed=tracks.confirmed | reached), approximated)
 
@@ -139,7 +172,8 @@ def _scanned(
 ) -> tuple[Tracks, int]:
     """Return the tracks after one scan, and its clusters beyond the bound."""
     unclaimed, approximated = np.ones(len(scan.detections)), 0
-    probability = _detection_probability(tracks.belief, scan.sensor, settings.points)
+    moments = settings.models.moments(tracks.belief)
+    probability = _detection_probability(moments, scan.sensor, settings.points)
     seen = probability > 0
     if seen.any():
         within = tracks.chosen(seen)
@@ -153,7 +187,7 @@ def _scanned(
     if begins.any():
         places = np.flatnonzero(begins)
         younger = Tracks(
-            Gaussian(*scan.sensor.begun(scan.detections[begins])),
+            settings.begun(*scan.sensor.begun(scan.detections[begins])),
             existence[begins],
             np.stack(np.broadcast_arrays(step, scan.number, places), axis=-1),
             np.zeros(len(places), dtype=bool),
@@ -174,40 +208,47 @@ def _updated(
     tracks: Tracks, scan: Scan, settings: TrackerSettings, probability: np.ndarray
 ) -> tuple[Tracks, Association]:
     """Return the tracks given the scan, and which detections belong to which."""
-    sensor, belief, prior = scan.sensor, tracks.belief, tracks.existence
-    size, noise_cov = scan.detections.shape[-1], sensor.noise_cov
+    sensor, prior, models = scan.sensor, tracks.existence, settings.models
+    size, gate_probability = scan.detections.shape[-1], settings.gate_probability
+    means, covs, logs = models.apart(tracks.belief)
     predicted, cov, cross_cov = ukf.measured(
-        belief, sensor.measure, size, settings.points, sensor.residual
+        Gaussian(means, covs), sensor.measure, size, settings.points, sensor.residual
     )
-    whitener = inverse_of_triangle(cholesky(cov + noise_cov))
-    innovation = sensor.residual(scan.detections, predicted[:, None, :])
-    whitened = np.einsum("tij,tdj->tdi", whitener, innovation)
-    gate_probability = settings.gate_probability
-    weights = association_weights(
+    whitener = inverse_of_triangle(cholesky(cov + sensor.noise_cov))
+    innovation = sensor.residual(scan.detections, predicted[..., None, :])
+    whitened = np.einsum("tjab,tjdb->tjda", whitener, innovation)
+    chance = np.exp(logs)
+    # Each model gates by itself, so a target is within the gate with the same probability in all.
+    hit = association_weights(
         whitened,
         whitener,
-        probability,
-        prior,
+        probability[:, None],
+        prior[:, None] * chance,
         sensor.clutter_density(scan.detections),
         gate_probability,
         _gate(size, gate_probability),
-    )
+    ).hit
+    weights = Weights(1 - prior * probability * gate_probability, hit.sum(axis=1))
     association = settings.associate(weights)
     # A track without a detection may also be one whose target does not exist.
-    undetected = prior * (1 - probability * gate_probability) / weights.miss
-    existence = association.miss * undetected + association.hit.sum(axis=1)
-    share = association.hit / np.maximum(existence, np.finfo(float).tiny)[:, None]
+    undetected = association.miss * prior * (1 - probability * gate_probability) / weights.miss
+    existence = undetected + association.hit.sum(axis=1)
+    # Of each model and detection, given that the target exists.
+    there = np.maximum(existence, _TINY)[:, None, None]
+    share = association.hit[:, None] * (hit / np.maximum(weights.hit, _TINY)[:, None]) / there
+    after = chance * undetected[:, None] / there[..., 0] + share.sum(axis=-1)
+    after = np.maximum(after, _TINY)
+    share /= after[..., None]
     gain = times_transposed(cross_cov, whitener)
     # The mean and covariance of the mixture of all choices, in whitened innovations.
-    mean = np.einsum("td,tdi->ti", share, whitened)
-    spread = np.einsum("td,tdi,tdj->tij", share, whitened, whitened)
-    spread -= mean[:, :, None] * mean[:, None, :]
-    spread -= share.sum(axis=1)[:, None, None] * np.eye(size)
-    after = Gaussian(
-        belief.mean + multiply(gain, mean),
-        symmetrise(belief.cov + gain @ spread @ gain.mT),
+    mean = np.einsum("tjd,tjda->tja", share, whitened)
+    spread = np.einsum("tjd,tjda,tjdb->tjab", share, whitened, whitened)
+    spread -= mean[..., :, None] * mean[..., None, :]
+    spread -= share.sum(axis=-1)[..., None, None] * np.eye(size)
+    belief = models.stacked(
+        means + multiply(gain, mean), symmetrise(covs + gain @ spread @ gain.mT), np.log(after)
     )
-    return tracks._replace(belief=after, existence=existence), association
+    return tracks._replace(belief=belief, existence=existence), association
 
 
 @cache
@@ -229,12 +270,10 @@ def _replaced(tracks: Tracks, seen: np.ndarray, updated: Tracks) -> Tracks:
     return tracks._replace(belief=Gaussian(mean, cov), existence=existence)
 
 
-def _apart(tracks: Tracks, same_within: float) -> Tracks:
-    """Return the tracks without those that stand for the target of an older one."""
-    count = len(tracks.existence)
-    if count < 2:
-        return tracks
-    mean, cov = tracks.belief
+def _apart(belief: Gaussian, same_within: float) -> np.ndarray:
+    """Return which tracks (T,) do not stand for the target of an older one."""
+    mean, cov = belief
+    count = len(mean)
     older, younger = np.triu_indices(count, 1)
     # Tracks far apart need no matrix: the trace bounds the greatest eigenvalue.
     scale = np.trace(cov, axis1=-2, axis2=-1)
@@ -249,4 +288,4 @@ def _apart(tracks: Tracks, same_within: float) -> Tracks:
     ):
         if kept[first]:
             kept[second] = False
-    return tracks.chosen(kept)
+    return kept

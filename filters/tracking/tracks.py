@@ -1,5 +1,6 @@
 """Tracks: beliefs of targets, each with the probability that its target exists, and an identity."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ class Tracks(NamedTuple):
     """T tracks in the order in which they began.
 
     Attributes:
-        belief: mean (T, n), cov (T, n, n), given that the target exists.
+        belief: mean (T, n), cov (T, n, n), given that the target exists; stacked where a target has
+            several models of motion.
         existence: (T,), probability that it does.
         identity: (T, 3) integers. Equal records give equal identities at every node.
         confirmed: (T,), whether the existence has ever reached the threshold of confirmation.
@@ -57,8 +59,10 @@ def number_of_targets(tracks: Tracks, undetected: float) -> Gaussian:
     return Gaussian(np.array([there.sum() + undetected]), np.array([[variance]]))
 
 
-REPORT_COLUMNS = IDENTITY + 1 + 8
-"""Numbers of a reported track with four states."""
+_SEEN = 4
+"""A report tells the first states of a track, which are its place and its velocity."""
+REPORT_COLUMNS = IDENTITY + 1 + 2 * _SEEN
+"""Numbers of a reported track."""
 
 
 class TrackReport(NamedTuple):
@@ -75,17 +79,20 @@ class TrackReport(NamedTuple):
         return np.column_stack(self)
 
 
-def report(tracks: Tracks) -> TrackReport:
-    """Return the tracks that stand for targets."""
+def report(tracks: Tracks, moments: Callable[[Gaussian], Gaussian]) -> TrackReport:
+    """Return the tracks that stand for targets; `moments` gives mean and cov of their beliefs."""
     seen = reported(tracks)
-    std = np.sqrt(np.diagonal(seen.belief.cov, axis1=-2, axis2=-1))
-    return TrackReport(seen.identity, seen.existence, seen.belief.mean, std)
+    mean, cov = moments(seen.belief)
+    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    return TrackReport(seen.identity, seen.existence, mean[:, :_SEEN], std[:, :_SEEN])
 
 
 def report_of(rows: ArrayLike) -> TrackReport:
     """Return the tracks of rows (T, 12)."""
     rows = np.asarray(rows, dtype=np.float64).reshape(-1, REPORT_COLUMNS)
-    identity, existence, mean, std = np.split(rows, (IDENTITY, IDENTITY + 1, IDENTITY + 5), axis=1)
+    identity, existence, mean, std = np.split(
+        rows, (IDENTITY, IDENTITY + 1, IDENTITY + 1 + _SEEN), axis=1
+    )
     return TrackReport(identity.astype(int), existence[:, 0], mean, std)
 
 

@@ -77,13 +77,15 @@ class Reached(NamedTuple):
 class ScanFlooding:
     """The estimator at one node: `flooding` brings records, `track` makes tracks of them.
 
-    `undetected` targets are expected that no sensor has seen yet.
+    `undetected` targets are expected that no sensor has seen yet; `moments` gives mean and
+    covariance of the belief of a track.
     """
 
     flooding: LabelledFlooding
     track: TrackStep
     begin: Tracked
     undetected: float
+    moments: Callable[[Gaussian], Gaussian]
 
     @property
     def share_bytes(self) -> int:
@@ -159,19 +161,22 @@ class ScanFlooding:
 
     def tracks(self, content: ScanContent) -> ReportedTracks:
         """The tracks that stand for targets."""
-        return reported_tracks(content.last.tracked.tracks, content.last.evidence)
+        last = content.last
+        return reported_tracks(last.tracked.tracks, last.evidence, self.moments)
 
     def ages(self, content: ScanContent) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""
         return self.flooding.ages(content.flooded)
 
 
-def reported_tracks(tracks: Tracks, evidence: bytes) -> ReportedTracks:
+def reported_tracks(
+    tracks: Tracks, evidence: bytes, moments: Callable[[Gaussian], Gaussian]
+) -> ReportedTracks:
     """Return tracks as an estimate tells them; `evidence` is a digest of what went into them."""
     every = (*tracks.belief, tracks.existence, tracks.identity, tracks.confirmed)
     bits = hashlib.sha256(b"".join(one.tobytes() for one in every)).digest()
     short = (evidence[:_DIGEST_BYTES].hex(), bits[:_DIGEST_BYTES].hex())
-    return ReportedTracks(report(tracks).rows.tolist(), *short)
+    return ReportedTracks(report(tracks, moments).rows.tolist(), *short)
 
 
 def _with_flooded(content: ScanContent, flooded: LabelledContent) -> ScanContent:

@@ -114,7 +114,7 @@ class TrackExchange:
 
     def tracks(self, content: TrackContent) -> ReportedTracks:
         """The tracks that stand for targets."""
-        return reported_tracks(content.known.tracks, b"")
+        return reported_tracks(content.known.tracks, b"", self.settings.models.moments)
 
     def ages(self, content: TrackContent) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""

@@ -21,7 +21,6 @@ from concord.nodes.tracking.scan_flooding import (
 )
 from concord.plants.scanning import ScanningSensor
 from concord.scenarios.definitions.swarm_tracking import (
-    START,
     STATES,
     UNDETECTED,
     model_of,
@@ -41,6 +40,7 @@ from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.filters import UnscentedFilter
 
 # Nodes of one process are at most so many steps apart.
 _LEAD_STEPS = 4
@@ -131,7 +131,7 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanF
     )
     window = RecordsAlone(
         model_of(scenario),
-        build_filter(scenario.filter, STATES),
+        build_filter(UnscentedFilter(), STATES),
         AllSensors((), scenario.nodes, (1 + codec.readings, codec.channels)),
         codecs,
     )
@@ -148,7 +148,14 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanF
         first_step=beginning.step,
         first_cycle=beginning.cycle,
     )
-    return ScanFlooding(flooding, _tracker(scenario, window_steps), START, UNDETECTED)
+    settings = settings_of(scenario)
+    return ScanFlooding(
+        flooding,
+        _tracker(scenario, window_steps),
+        settings.start,
+        UNDETECTED,
+        settings.models.moments,
+    )
 
 
 FLOODED_SCANS = NetworkWiring(

@@ -2,32 +2,35 @@
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 
 from concord.filters.association.associate import ASSOCIATIONS
 from concord.filters.gaussian import Gaussian
+from concord.filters.interacting_models import Mode
 from concord.filters.sigma_points import cubature
 from concord.filters.tracking.tracker import Scan, Tracked, TrackerSettings, track
-from concord.filters.tracking.tracks import no_tracks, number_of_targets
+from concord.filters.tracking.tracks import number_of_targets
 from concord.plants.linear import LinearModel
-from concord.plants.motion import ConstantVelocity
+from concord.plants.motion import TURN_RATE, ConstantVelocity, CoordinatedTurn, Motion
 from concord.plants.placement import place_sensors, sites
 from concord.plants.range_bearing import RangeBearing
-from concord.plants.scanned_swarm import TARGET_STATES, ScannedSwarm, detections_of
+from concord.plants.scanned_swarm import ScannedSwarm, detections_of
 from concord.plants.scanning import ScanningSensor
 from concord.plants.swarm import Swarm
 from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.filters import FilterChoice, InteractingMultipleModels
 from concord.scenarios.types.plants import TargetSwarm
 
-START = Tracked(no_tracks(TARGET_STATES), 0)
 UNDETECTED = 0.1
 """Expected number of targets that no sensor has seen yet, as a tracker assumes it in each scan."""
 _END_OVER_BIRTH = 0.1
-_ACCELERATION_DENSITY_M2_S3 = 1.0
-"""So much the tracker allows for turns: 0.1 rad/s at 10 m/s is an acceleration of 1 m/s²."""
+_TURNS_AS_NOISE_M2_S3, _NOISE_M2_S3 = 1.0, 0.05
+"""Acceleration densities of a tracker without a model of turns, and with one: 0.1 rad/s at 10 m/s
+is an acceleration of 1 m/s²."""
 STATES = 1
 _KEPT_RUNS = 64
 
@@ -66,24 +69,42 @@ def model_of(scenario: Scenario) -> LinearModel:
 
 
 @cache
-def _settings(association: str, clutter: float) -> TrackerSettings:
+def _settings(association: str, clutter: float, chosen: FilterChoice) -> TrackerSettings:
     birth = UNDETECTED / (UNDETECTED + clutter)
-    motion = ConstantVelocity(acceleration_density_m2_s3=_ACCELERATION_DENSITY_M2_S3)
+    motion, changing = _motion(chosen)
     return TrackerSettings(
         lambda states: motion.transition(states, None, 0),
         motion.process_noise_cov(0),
-        cubature(TARGET_STATES),
+        cubature(len(motion.state_names)),
         ASSOCIATIONS[association],
         birth=birth,
         # A track may lose nine tenths of its first existence, however small that is.
         end_below=_END_OVER_BIRTH * birth,
+        **changing,
     )
 
 
+def _motion(chosen: FilterChoice) -> tuple[Motion, dict[str, Any]]:
+    """Return the model of motion of a filter, and the settings of several models."""
+    if not isinstance(chosen, InteractingMultipleModels):
+        return ConstantVelocity(acceleration_density_m2_s3=_TURNS_AS_NOISE_M2_S3), {}
+    std = chosen.turn_rate_std
+    changing = {
+        "modes": (Mode(held=(TURN_RATE,), std=std), Mode()),
+        "change": chosen.change,
+        "unseen_std": (std,),
+    }
+    return CoordinatedTurn(acceleration_density_m2_s3=_NOISE_M2_S3), changing
+
+
 def settings_of(scenario: Scenario) -> TrackerSettings:
-    """Return the settings of a tracker: constant velocity, disturbed by the targets' turns."""
+    """Return the settings of a tracker by its filter.
+
+    `ukf` believes in constant velocity, disturbed by the targets' turns; `imm` in straight courses
+    and turns.
+    """
     chosen = swarm_of(scenario)
-    return _settings(chosen.association, chosen.clutter)
+    return _settings(chosen.association, chosen.clutter, scenario.filter)
 
 
 def tracked_alone(
@@ -92,16 +113,22 @@ def tracked_alone(
     """The tracks after each step of one tracker with all scans (steps, N, 1 + D, 2) of some nodes,
     unrounded."""
     some = np.ascontiguousarray(readings[:, list(nodes)])
-    return _tracked(swarm_of(scenario), scenario.nodes, tuple(nodes), some.shape, some.tobytes())
+    tracker = scenario.filter, swarm_of(scenario), scenario.nodes
+    return _tracked(*tracker, tuple(nodes), some.shape, some.tobytes())
 
 
 @lru_cache(maxsize=_KEPT_RUNS)
 def _tracked(
-    chosen: TargetSwarm, of: int, nodes: tuple[int, ...], shape: tuple[int, ...], scans: bytes
+    filter: FilterChoice,
+    chosen: TargetSwarm,
+    of: int,
+    nodes: tuple[int, ...],
+    shape: tuple[int, ...],
+    scans: bytes,
 ) -> tuple[Tracked, ...]:
     sensors = _plant(chosen, of).sensors
-    settings = _settings(chosen.association, chosen.clutter)
-    tracked, found = START, []
+    settings = _settings(chosen.association, chosen.clutter, filter)
+    tracked, found = settings.start, []
     for step, rows in enumerate(np.frombuffer(scans).reshape(shape)):
         taken = [
             Scan(node, sensors[node], detections)

@@ -6,9 +6,10 @@ from concord.nodes.tracking.track_exchange import TrackExchange
 from concord.plants.scanned_swarm import TARGET_STATES
 from concord.scenarios.definitions.swarm_tracking import UNDETECTED, plant_of, settings_of
 from concord.scenarios.node_context import Beginning
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.rules import TrackIntersection
 
 
@@ -29,8 +30,19 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> Track
     )
 
 
+def _check(setup: Setup) -> None:
+    chosen = setup.scenario.filter
+    require(
+        isinstance(chosen, UnscentedFilter),
+        "filter",
+        chosen.name,
+        "ukf: a share carries one belief a track; or use --rule labelled, whose shares are scans",
+    )
+
+
 SHARED_TRACKS = NetworkWiring(
     share_bytes=lambda scenario: _codec(scenario).size,
     estimator=_estimator,
+    check=_check,
     lacking=lambda _: "target-swarm",
 )

@@ -15,7 +15,7 @@ from concord.scenarios.definitions.swarm_tracks import SHARED_TRACKS
 from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.filters import UnscentedFilter
+from concord.scenarios.types.filters import InteractingMultipleModels, UnscentedFilter
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import TargetSwarm
 from concord.scenarios.types.rules import MeasurementFlooding
@@ -49,10 +49,10 @@ class DetectionSensor:
 
 def _check(scenario: Scenario) -> None:
     require(
-        isinstance(scenario.filter, UnscentedFilter),
+        isinstance(scenario.filter, UnscentedFilter | InteractingMultipleModels),
         "filter",
         scenario.filter.name,
-        "ukf: the tracker predicts and updates each track by it",
+        "ukf or imm: the tracker predicts and updates each track by it",
     )
     # Placing the nodes is what can fail, and says why.
     plant_of(scenario)

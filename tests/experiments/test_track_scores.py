@@ -20,7 +20,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.streams import generator
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
-from tests.filters.tracking.position_sensor import tracks_at
+from tests.filters.tracking.position_sensor import settings, tracks_at
 from tests.pages import blocks, commands
 
 SMALL = ("--scenario", "target-swarm", "--nodes", "8", "--targets", "4", "--steps", "20",
@@ -43,7 +43,8 @@ def figures(capsys: pytest.CaptureFixture[str], folder: Path, *words: str) -> di
         (("--association", "nearst"), "nearst"),
         (("--payload-bytes", "16", "--loss", "0.1"), "raise --payload-bytes"),
         (("--rule", "hcmci"), "--rule hcmci: must be labelled"),
-        (("--filter", "ekf"), "--filter ekf: must be ukf"),
+        (("--rule", "track-ci", "--filter", "imm"), "a share carries one belief a track"),
+        (("--filter", "ekf"), "--filter ekf: must be ukf or imm"),
         (("--withhold-below", "0.1"), "--withhold-below 0.1: must be 0: a record is a scan"),
         (("--record-number", "float32"), "--record-number float32: must be int16"),
         (("--changes", "5 set rounds=2"), "target-swarm has one rule and schedule of its own"),
@@ -164,10 +165,11 @@ def test_scores_of_a_run_by_hand():
     truth = np.full((3, 2, 4), np.nan)
     truth[0, 0] = truth[1, 0] = truth[2, 0] = [0, 0, 0, 0]
     truth[1, 1] = truth[2, 1] = [200, 0, 0, 0]
+    alone = settings().models.moments
     far, both = np.array([[3.0, 0, 4, 0], [500, 0, 0, 0]]), np.array([[210.0, 0, 0, 0], [0] * 4])
-    log.add(0, truth[0], report(no_tracks(4)))  # missed
-    log.add(1, truth[1], report(tracks_at(far)))  # missed and false
-    log.add(2, truth[2], report(tracks_at(both)))  # switched
+    log.add(0, truth[0], report(no_tracks(4), alone))  # missed
+    log.add(1, truth[1], report(tracks_at(far), alone))  # missed and false
+    log.add(2, truth[2], report(tracks_at(both), alone))  # switched
     scores = log.scores()
     assert scores.missed == pytest.approx(2 / 3) and scores.false == pytest.approx(1 / 3)
     assert scores.localisation_m == pytest.approx(math.sqrt((25 + 100) / 3))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from concord.filters.association.associate import joint_probabilities
 from concord.filters.association.weights import Association, Weights
+from concord.filters.interacting_models import Mode
 from concord.filters.tracking.tracker import Scan, track
 from concord.filters.tracking.tracks import Tracks, no_tracks, reported
 from tests.filters.tracking.position_sensor import PositionSensor, settings, tracks_at
@@ -54,12 +55,14 @@ def test_five_crossing_targets_agree_with_stone_soup(steps: int):
 
 
 @hypothesis_settings(max_examples=25)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["jpda", "nearest"]))
-def test_the_order_of_arrival_changes_no_bit(seed: int, association: str):
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["jpda", "nearest"]), st.sampled_from([1, 2]))
+def test_the_order_of_arrival_changes_no_bit(seed: int, association: str, models: int):
     rng = np.random.default_rng(seed)
     sensors = [PositionSensor(detection=0.8 + 0.05 * n, density=1e-4) for n in range(3)]
     usual = settings(association)
-    one, other = no_tracks(4), no_tracks(4)
+    if models == 2:
+        usual = usual._replace(modes=(Mode(held=(1, 3), std=1.0), Mode()), change=0.1)
+    one = other = usual.start.tracks
     targets = rng.uniform(-20, 20, (3, 2))
     for step in range(4):
         scans = []
@@ -102,6 +105,57 @@ def test_existence_follows_the_bayes_rule_of_one_track():
     missed = 1 - sensor.detection * usual.gate_probability
     there = 0.3 * (missed + sensor.detection * likelihood / sensor.density)
     assert after.existence[0] == pytest.approx(there / (there + 0.7))
+
+
+def test_models_that_are_alike_are_one_tracker():
+    rng, sensor = np.random.default_rng(8), PositionSensor(density=1e-3)
+    plain = settings()
+    alike = plain._replace(modes=(Mode(), Mode(), Mode()), change=0.2)
+    one, several = plain.start.tracks, alike.start.tracks
+    targets = np.array([[0.0, 0.0], [6.0, 0.0], [60.0, 0.0]])
+    for step in range(12):
+        taken = targets + [2.0 * step, 0] + 2 * rng.standard_normal(targets.shape)
+        detections = np.concatenate((taken[rng.random(3) < 0.9], rng.uniform(-30, 90, (4, 2))))
+        one = track(one, [Scan(0, sensor, detections)], plain, step).tracks
+        several = track(several, [Scan(0, sensor, detections)], alike, step).tracks
+        np.testing.assert_allclose(several.existence, one.existence, rtol=1e-9)
+        for found, known in zip(alike.models.moments(several.belief), one.belief, strict=True):
+            np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9)
+    assert len(one.existence) > 3
+
+
+def test_one_scan_of_two_models_is_the_sum_over_models_and_detections():
+    sensor, still = PositionSensor(detection=0.8), Mode(held=(1, 3), std=1.0)
+    usual = settings(survival=1.0, birth=0.0)._replace(modes=(still, Mode()), change=0.1)
+    belief = usual.begun(np.array([[0.0, 5, 0, -3]]), np.diag([9.0, 4, 9, 4])[None])
+    before = Tracks(belief, np.array([0.6]), np.zeros((1, 3), dtype=int), np.ones(1, dtype=bool))
+    detections = np.array([[1.0, -2.0], [4.0, -3.0]])
+    after = track(before, [Scan(0, sensor, detections)], usual, 1).tracks
+    moved = usual.models.predict(belief, usual.transition, usual.process_noise_cov)
+    means, covs, logs = (part[0] for part in usual.models.apart(moved))
+    weights, states, spreads = [], [], []
+    for mean, cov, chance in zip(means, covs, np.exp(logs), strict=True):
+        weights.append(chance * (1 - sensor.detection * usual.gate_probability))
+        states.append(mean)
+        spreads.append(cov)
+        innovation_cov = cov[::2, ::2] + sensor.noise_cov
+        gain = cov[:, ::2] @ np.linalg.inv(innovation_cov)
+        for away in detections - mean[::2]:
+            squared = away @ np.linalg.solve(innovation_cov, away)
+            likelihood = np.exp(-squared / 2) / np.sqrt(np.linalg.det(2 * np.pi * innovation_cov))
+            weights.append(chance * sensor.detection * likelihood / sensor.density)
+            states.append(mean + gain @ away)
+            spreads.append(cov - gain @ cov[::2])
+    total = sum(weights)
+    shares, states = np.array(weights) / total, np.array(states)
+    mean = shares @ states
+    away = states - mean
+    cov = np.einsum("k,kij->ij", shares, np.array(spreads) + away[:, :, None] * away[:, None])
+    found = usual.models.moments(after.belief)
+    np.testing.assert_allclose(found.mean[0], mean, atol=1e-9)
+    np.testing.assert_allclose(found.cov[0], cov, atol=1e-9)
+    assert usual.models.probabilities(after.belief)[0, 0] == pytest.approx(shares[:3].sum())
+    assert after.existence[0] == pytest.approx(0.6 * total / (0.6 * total + 0.4))
 
 
 def test_targets_begin_are_confirmed_and_end():
