@@ -34,7 +34,13 @@ from concord.nodes.rules.record_sets import (
     packed,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on, steps_late
+from concord.nodes.rules.window_filter import (
+    WindowFilter,
+    Windows,
+    fuse_base,
+    one_place_on,
+    steps_late,
+)
 
 
 class BatchedLabelledContent(NamedTuple):
@@ -301,8 +307,7 @@ class BatchedFlooding:
         self, content: BatchedLabelledContent, shares: Shared, came: Came
     ) -> BatchedLabelledContent:
         """Bases fused with those that came, sender by sender."""
-        own = content.windows.base
-        base = Gaussian(own.mean.copy(), own.cov.copy())
+        base = Gaussian(*(values.copy() for values in content.windows.base))
         right, counters = content.windows.right.copy(), content.counters
         here = shares.with_checkpoint[came.lanes]
         turns = came.links - self.links.offsets[self.links.receiver[came.links]]
@@ -311,19 +316,14 @@ class BatchedFlooding:
             lanes = (came.runs[some], self.links.receiver[came.links[some]])
             before = Gaussian(*(values[lanes] for values in base))
             other = Gaussian(*(values[came.lanes[some]] for values in shares.checkpoint))
-            fused = self.filter.fused(before, other)
-            sound = finite_lanes(fused)
-            same = sound & (fused.mean == before.mean).all(axis=-1)
-            better = sound & ~same
+            fused, sound, better = fuse_base(self.filter, before, other)
             into = tuple(one[better] for one in lanes)
             base.mean[into], base.cov[into] = fused.mean[better], fused.cov[better]
             right[into] = 0
-            counts = {}
-            for name, happened in (("failed", ~sound), ("known", same), ("fused", better)):
+            for name, some in (("failed", ~sound), ("known", sound & ~better), ("fused", better)):
                 count = np.zeros(right.shape, dtype=np.int64)
-                count[lanes] = happened
-                counts[f"checkpoint-{name}"] = count
-            counters = added(counters, counts)
+                count[lanes] = some
+                counters = added(counters, {f"checkpoint-{name}": count})
         windows = content.windows._replace(base=base, right=right)
         return content._replace(windows=windows, counters=counters)
 

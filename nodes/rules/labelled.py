@@ -18,7 +18,7 @@ from concord.filters.linalg import cholesky
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
+from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names
 from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_sets import (
     SILENCE,
@@ -31,7 +31,7 @@ from concord.nodes.rules.record_sets import (
     with_record,
 )
 from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
+from concord.nodes.rules.window_filter import WindowFilter, Windows, fuse_base, one_lane, steps_late
 
 GAP_STEPS = 16  # of silence, after which a neighbour is owed a checkpoint
 
@@ -314,11 +314,11 @@ class LabelledFlooding:
         if not self._has_common_base(content):
             return content, ["checkpoint-of-another-step"]
         windows = content.windows
-        base = self.filter.fused(windows.base, one_lane(checkpoint))
-        if not finite(base):
+        base, sound, gains = fuse_base(self.filter, windows.base, one_lane(checkpoint))
+        if not sound.all():
             return content, ["checkpoint-failed"]
         content = content._replace(needs=False)
-        if base.mean.tobytes() == windows.base.mean.tobytes():
+        if not gains.any():
             return content, ["checkpoint-known"]
         windows = windows._replace(base=base, right=np.zeros_like(windows.right))
         return content._replace(windows=windows), ["checkpoint-fused"]

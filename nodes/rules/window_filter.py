@@ -138,7 +138,7 @@ class WindowFilter:
         return windows._replace(values=values, noise_covs=noise_covs)
 
     def fused(self, base: Gaussian, checkpoint: Gaussian) -> Gaussian:
-        """Return bases (..., n) fused with checkpoints, which may tell the same."""
+        """Return bases (..., n) fused with checkpoints; bit for bit those that gain nothing."""
         return determinant_intersection(base, checkpoint)
 
     def predicted(self, windows: Windows, control: np.ndarray | None) -> Carried:
@@ -268,6 +268,16 @@ class WindowFilter:
             if codec is not None and codec.rounding_cov is not None:
                 found[source, : codec.channels, : codec.channels] = codec.rounding_cov
         return found
+
+
+def fuse_base(
+    filter: WindowFilter, base: Gaussian, checkpoint: Gaussian
+) -> tuple[Gaussian, np.ndarray, np.ndarray]:
+    """Return bases (..., n) fused with checkpoints, where (...) it worked, and where it gained."""
+    fused = filter.fused(base, checkpoint)
+    sound = finite_lanes(fused)
+    same = (fused.mean == base.mean).all(-1) & (fused.cov == base.cov).all((-1, -2))
+    return fused, sound, sound & ~same
 
 
 def steps_late(filter: WindowFilter, node: int) -> int:

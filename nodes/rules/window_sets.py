@@ -15,7 +15,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sets.ellipsoid import Ellipsoid
 from concord.filters.sets.joint_noise import JointMotion, LinearReadings, joined
 from concord.nodes.rules.lane_rule import LocalStep
-from concord.nodes.rules.local_filter import LocalFilters
+from concord.nodes.rules.local_filter import LocalFilters, where
 from concord.nodes.rules.set_membership import (
     BoundedModel,
     BoundedSensor,
@@ -23,8 +23,11 @@ from concord.nodes.rules.set_membership import (
     readings_of,
     take_readings,
 )
-from concord.nodes.rules.set_shapes import Ellipsoids
+from concord.nodes.rules.set_shapes import Ellipsoids, relative_size
 from concord.nodes.rules.window_filter import WindowFilter, Windows
+
+# A checkpoint that makes a base smaller by less adds nothing; rounding alone does not decide.
+_LEAST_GAIN = 1e-6
 
 
 class WindowSets(WindowFilter):
@@ -54,12 +57,11 @@ class WindowSets(WindowFilter):
 
     def fused(self, base: Gaussian, checkpoint: Gaussian) -> Gaussian:
         """Return the ellipsoids around what two hold; NaN where they have nothing in common."""
-        both, meets = self._shape.meet(self._read(base), self._read(checkpoint))
-        found = self._shape.bounds(both)
-        return Gaussian(
-            np.where(meets[..., None], found.mean, np.nan),
-            np.where(meets[..., None, None], found.cov, np.nan),
-        )
+        own = self._read(base)
+        both, meets = self._shape.meet(own, self._read(checkpoint))
+        size = relative_size(self._shape.half_widths(both), self._shape.half_widths(own))
+        found = where(size < 1.0 - _LEAST_GAIN, self._shape.bounds(both), base)
+        return where(meets, found, Gaussian(np.full_like(found.mean, np.nan), found.cov))
 
     def _carried(
         self,

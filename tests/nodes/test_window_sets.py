@@ -89,6 +89,20 @@ def test_checkpoints_that_meet_hold_both_sets_and_others_fail():
     assert np.isnan(sets.fused(own, far).mean).all()
 
 
+@pytest.mark.parametrize("rule", ["labelled-ellipsoid", "labelled"])
+def test_a_checkpoint_around_the_same_centre_is_news_if_it_is_smaller(rule: str):
+    """Only the centre was compared: rounding decided whether narrow sets were fused."""
+    node = build_node(prepare(asked(rule=rule)), 0).estimator
+    assert isinstance(node, LabelledFlooding)
+    content = node.start()
+    mean, cov = (values[0, 0] for values in content.windows.base)
+    for size, says in ((0.9, "fused"), (1.0, "known"), (1.1, "known")):
+        after, counted = node._fuse_base(content, Gaussian(mean, size * cov))
+        assert counted == [f"checkpoint-{says}"]
+        width = np.sqrt(min(size, 1.0) * np.trace(cov))
+        assert np.sqrt(np.trace(after.windows.base.cov[0, 0])) == pytest.approx(width, rel=1e-6)
+
+
 def test_a_plant_without_bounds_is_refused():
     with pytest.raises(ValueError, match="rule labelled-ellipsoid on oscillator: its noise has no"):
         prepare(scenario("oscillator", rule="labelled-ellipsoid"))
