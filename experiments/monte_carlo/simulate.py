@@ -15,6 +15,7 @@ import numpy as np
 from concord.experiments.monte_carlo.spread_history import SpreadHistory
 from concord.experiments.results.record_spread import RecordSpread
 from concord.experiments.results.trace import Past, read_trace
+from concord.experiments.tracking.tracks_told import TracksTold
 from concord.experiments.tracking.tracks_trace import TracksTrace
 from concord.filters.gaussian import Gaussian
 from concord.runtime.batched.build import build_network, without_array_form
@@ -194,7 +195,7 @@ class _Collected:
             shape = (len(self._runs), setup.scenario.nodes)
             self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
         self._spreads += part.spreads()
-        self._tracks += part.tracks
+        self._tracks += part.tracks()
 
     def _write_innovations(
         self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
@@ -227,13 +228,13 @@ class _Collected:
 
 class _Part(NamedTuple):
     """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
-    how records spread once all steps are taken, and tracks of several targets."""
+    and once all steps are taken, how records spread, and the tracks of several targets."""
 
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
     prior_mean: np.ndarray
     spreads: Callable[[], Sequence[RecordSpread]]
-    tracks: Sequence[TracksTrace] = ()
+    tracks: Callable[[], Sequence[TracksTrace]]
 
 
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
@@ -243,17 +244,23 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     counters: dict[str, np.ndarray] = {}
     # Nodes times nodes times steps: nothing that a rule without records could afford.
     spreads: list[SpreadHistory] = []
+    told = TracksTold(setup, len(runs))
 
     def steps() -> Iterable[_Recorded]:
         for instant in run(network):
             counters.update(instant.counters)
-            if instant.spread is not None and not setup.scenario.changes:
+            told.add(instant)
+            if instant.spread is not None and not told.there and not setup.scenario.changes:
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
             yield _recorded(setup, instant, most_rounds)
 
     return _Part(
-        steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
+        steps(),
+        counters,
+        network.prior.mean[:, 0],
+        lambda: spreads[0].of_runs() if spreads else (),
+        told.of_runs,
     )
 
 
@@ -263,8 +270,10 @@ def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
         np.pad(one, lacking).transpose(1, 0, 2)
         for one in (instant.payload_bytes, instant.asked, instant.classes)
     )
+    # The first state of several targets is their number; the others are those of the targets.
+    truth = instant.truth if instant.tracks is None else instant.truth[:, : len(setup.prior_mean)]
     return _Recorded(
-        instant.truth,
+        truth,
         instant.control,
         instant.belief,
         payload,
@@ -325,7 +334,7 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
 
     spreads = [] if trace.spread is None else [trace.spread]
     tracks = [] if trace.tracks is None else [trace.tracks]
-    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, tracks)
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, lambda: tracks)
 
 
 def _write(

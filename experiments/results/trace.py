@@ -172,7 +172,7 @@ def _assemble(
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
     truth = np.array([from_wire(truths[k].state) for k in range(steps)])
     truth = truth.reshape(steps, len(setup.initial_state))
-    there = {key: one for key, one in estimates.items() if history.is_in(key[1], key[0])}
+    there = {key: one.tracks for key, one in estimates.items() if history.is_in(key[1], key[0])}
     tracks = tracks_trace(setup, truth, there)
     lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
     fragments = [(node, fragment) for node, fragment, _ in sent]

@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.experiments.tracking.track_log import TrackLog
 from concord.filters.tracking.tracks import report, report_of
-from concord.nodes.messages import Estimate
+from concord.nodes.messages import ReportedTracks
 from concord.plants.scanned_swarm import paths_of
 from concord.scenarios.definitions.swarm_tracking import settings_of, tracked_alone
 from concord.scenarios.setup import Setup
@@ -40,9 +40,9 @@ class TracksTrace(NamedTuple):
 
 
 def tracks_trace(
-    setup: Setup, states: np.ndarray, estimates: Mapping[tuple[int, int], Estimate]
+    setup: Setup, states: np.ndarray, told: Mapping[tuple[int, int], ReportedTracks | None]
 ) -> TracksTrace | None:
-    """Return the tracks in estimates by (step, node), beside the plant's states (steps, ...).
+    """Return the tracks that nodes tell by (step, node), beside the plant's states (steps, ...).
 
     None where the scenario has a single target.
     """
@@ -52,10 +52,10 @@ def tracks_trace(
     logs = tuple(TrackLog() for _ in range(setup.scenario.nodes))
     for step, truth in enumerate(paths):
         for node, log in enumerate(logs):
-            said = estimates.get((step, node))
-            if said is not None and said.tracks is not None:
-                log.add(step, truth, report_of(said.tracks.rows))
-                digests[step, node] = said.tracks.records, said.tracks.bits
+            said = told.get((step, node))
+            if said is not None:
+                log.add(step, truth, report_of(said.rows))
+                digests[step, node] = said.records, said.bits
     return TracksTrace(paths, logs, digests)
 
 

@@ -12,6 +12,7 @@ from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.nodes.environment_state import ControlStep, Delivery, Plant
 from concord.nodes.lanes.filter import Counters
+from concord.nodes.messages import ReportedTracks
 
 Contest = Callable[
     [ArbiterState, int, int, np.ndarray, np.ndarray, Callable[[], np.ndarray | None]], Awards
@@ -115,6 +116,15 @@ class RuleWithPast(BatchedRule, Protocol):
 
     def smoothed(self, content: Any) -> Gaussian:
         """States of 0, 1, ... steps ago: mean (R, N, L, n), cov (R, N, L, n, n); NaN for none."""
+        ...
+
+
+@runtime_checkable
+class RuleWithTracks(BatchedRule, Protocol):
+    """A rule that tracks several targets."""
+
+    def tracks(self, content: Any) -> list[list[ReportedTracks]]:
+        """Return the tracks of each node of each run."""
         ...
 
 

@@ -7,7 +7,7 @@ node that returns begins its tracks with the scans that it gets.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -45,25 +45,6 @@ class RecordsAlone(WindowFilter):
         return windows, {}
 
 
-class ScanContent(NamedTuple):
-    """A node's knowledge.
-
-    Attributes:
-        flooded: the records of the window.
-        settled: tracks after the steps that have left the window.
-        reached: those after each step of the window that has ended, the oldest first.
-    """
-
-    flooded: LabelledContent
-    settled: "Reached"
-    reached: tuple["Reached", ...]
-
-    @property
-    def last(self) -> "Reached":
-        """Tracks after the last step that has ended."""
-        return self.reached[-1] if self.reached else self.settled
-
-
 class Reached(NamedTuple):
     """Tracks after a step, its records, and a digest of all records up to it."""
 
@@ -71,6 +52,49 @@ class Reached(NamedTuple):
     tracked: Tracked
     records: StepRecords
     evidence: bytes
+
+
+class TrackedWindow(NamedTuple):
+    """Tracks of one node over the steps of its window.
+
+    Attributes:
+        settled: tracks after the steps that have left the window.
+        reached: those after each step of the window that has ended, the oldest first.
+    """
+
+    settled: Reached
+    reached: tuple[Reached, ...]
+
+    @property
+    def last(self) -> Reached:
+        """Tracks after the last step that has ended."""
+        return self.reached[-1] if self.reached else self.settled
+
+    def after(
+        self, track: TrackStep, steps: Iterable[tuple[int, StepRecords]], is_full: bool
+    ) -> "TrackedWindow":
+        """The tracks by the records that are held now, of all steps of the window.
+
+        No record of the oldest step of a full window can come any more.
+        """
+        before = {one.step: one for one in self.reached}
+        newest, found = self.settled, []
+        for step, held in steps:
+            known = before.get(step)
+            if known is None or known.records != held or newest is not before.get(step - 1, newest):
+                tracked = track(newest.tracked, step, held)
+                known = Reached(step, tracked, held, _digest(newest.evidence, held))
+            found.append(newest := known)
+        if is_full:
+            return TrackedWindow(found[0], tuple(found[1:]))
+        return self._replace(reached=tuple(found))
+
+
+class ScanContent(NamedTuple):
+    """A node's knowledge: the records of the window, and the tracks."""
+
+    flooded: LabelledContent
+    window: TrackedWindow
 
 
 @dataclass(frozen=True)
@@ -95,7 +119,8 @@ class ScanFlooding:
     def start(self) -> ScanContent:
         """No record and no track."""
         before = self.flooding.first_step - 1
-        return ScanContent(self.flooding.start(), Reached(before, self.begin, (), b""), ())
+        window = TrackedWindow(Reached(before, self.begin, (), b""), ())
+        return ScanContent(self.flooding.start(), window)
 
     def begin_step(
         self, content: ScanContent, measured: Measured
@@ -138,30 +163,26 @@ class ScanFlooding:
         if not is_end:
             return content, failures
         content = self._tracked(content)
-        return content, (*failures, *["approximated-cluster"] * content.last.tracked.approximated)
+        return content, (
+            *failures,
+            *["approximated-cluster"] * content.window.last.tracked.approximated,
+        )
 
     def _tracked(self, content: ScanContent) -> ScanContent:
-        windows, before = content.flooded.windows, {one.step: one for one in content.reached}
-        newest, found = content.settled, []
-        for place in range(windows.first, len(content.flooded.records)):
-            step, records = windows.step_at(place), content.flooded.records[place]
-            known, held = before.get(step), tuple(sorted(records.items()))
-            if known is None or known.records != held or newest is not before.get(step - 1, newest):
-                tracked = self.track(newest.tracked, step, held)
-                known = Reached(step, tracked, held, _digest(newest.evidence, held))
-            found.append(newest := known)
-        if windows.first == 0:
-            # No record of the oldest step can come any more.
-            return content._replace(settled=found[0], reached=tuple(found[1:]))
-        return content._replace(reached=tuple(found))
+        windows, records = content.flooded.windows, content.flooded.records
+        steps = (
+            (windows.step_at(place), tuple(sorted(records[place].items())))
+            for place in range(windows.first, len(records))
+        )
+        return content._replace(window=content.window.after(self.track, steps, windows.first == 0))
 
     def belief(self, content: ScanContent) -> Gaussian:
         """The number of targets."""
-        return number_of_targets(content.last.tracked.tracks, self.undetected)
+        return number_of_targets(content.window.last.tracked.tracks, self.undetected)
 
     def tracks(self, content: ScanContent) -> ReportedTracks:
         """The tracks that stand for targets."""
-        last = content.last
+        last = content.window.last
         return reported_tracks(last.tracked.tracks, last.evidence, self.moments)
 
     def ages(self, content: ScanContent) -> np.ndarray:

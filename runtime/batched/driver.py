@@ -24,10 +24,12 @@ from concord.nodes.lanes.network import (
     RuleWithLengths,
     RuleWithPast,
     RuleWithReturns,
+    RuleWithTracks,
     RunSegment,
     RunSettings,
     ShareContents,
 )
+from concord.nodes.messages import ReportedTracks
 from concord.nodes.node import contenders_left
 from concord.runtime.batched.tally import Tally, masked
 
@@ -41,7 +43,8 @@ class Instant(NamedTuple):
     urgency class it won. counters: totals
     (R, N) by name, of a node that came back since then. spread: what shares carried, where they
     have no length of their own. past: (R, N, L, n), the states of 0, 1, ... steps ago, of a rule
-    that estimates them. suspect: (R, N), of a rule whose nodes check themselves.
+    that estimates them. suspect: (R, N), of a rule whose nodes check themselves. tracks: of each
+    node of each run, None of an absent one; None for a rule without.
     """
 
     step: int
@@ -57,6 +60,7 @@ class Instant(NamedTuple):
     spread: ShareContents | None
     past: Gaussian | None
     suspect: np.ndarray | None
+    tracks: list[list[ReportedTracks | None]] | None
 
 
 class _Said(NamedTuple):
@@ -107,6 +111,7 @@ def run(network: BatchedNetwork) -> Iterator[Instant]:
             spread,
             _past(rule, content, here),
             rule.suspect(content) & here if isinstance(rule, RuleWithCheck) else None,
+            _tracks(rule, content, here),
         )
 
 
@@ -115,6 +120,18 @@ def _past(rule: BatchedRule, content: Any, here: np.ndarray) -> Gaussian | None:
     if not isinstance(rule, RuleWithPast):
         return None
     return Gaussian(*(masked(here, values) for values in rule.smoothed(content)))
+
+
+def _tracks(
+    rule: BatchedRule, content: Any, here: np.ndarray
+) -> list[list[ReportedTracks | None]] | None:
+    """Return the tracks of the nodes that take part (N,)."""
+    if not isinstance(rule, RuleWithTracks):
+        return None
+    return [
+        [one if is_here else None for one, is_here in zip(of_run, here, strict=True)]
+        for of_run in rule.tracks(content)
+    ]
 
 
 def _turned(

@@ -1,7 +1,9 @@
 """The rule `labelled` of `target-swarm`: nodes flood their scans, and track by all of them."""
 
 import dataclasses
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +11,9 @@ from concord.bus.bus import Bus
 from concord.filters.gaussian import Gaussian
 from concord.filters.tracking.tracker import Scan, Tracked, track
 from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.links import Links
+from concord.nodes.lanes.scans import BatchedScanFlooding
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled import LabelledFlooding
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec, labelled_bytes, least_limit
@@ -18,6 +23,7 @@ from concord.nodes.tracking.scan_flooding import (
     RecordsAlone,
     ScanFlooding,
     StepRecords,
+    TrackStep,
 )
 from concord.plants.scanning import ScanningSensor
 from concord.scenarios.definitions.swarm_tracking import (
@@ -35,6 +41,7 @@ from concord.scenarios.labelled import (
     flooding_of,
     largest_share,
     window_of,
+    without_arrays,
 )
 from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
@@ -42,6 +49,7 @@ from concord.scenarios.scenario_definition import NetworkWiring
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.filters import UnscentedFilter
 
+Moments = Callable[[Gaussian], Gaussian]
 # Nodes of one process are at most so many steps apart.
 _LEAD_STEPS = 4
 
@@ -118,9 +126,10 @@ def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
     return dataclasses.replace(sensor, sensor=rounded)
 
 
-def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanFlooding:
-    scenario, neighbours = setup.scenario, setup.neighbours
-    codec, window_steps = _scan_codec(scenario), window_of(scenario, neighbours)
+def _flooding_parts(setup: Setup, bus: Bus) -> dict[str, Any]:
+    """What the flooding of scans has in common at a node and at all nodes of many runs."""
+    scenario = setup.scenario
+    codec, window_steps = _scan_codec(scenario), window_of(scenario, setup.neighbours)
     codecs = [codec] * scenario.nodes
     frames = LabelledFrameCodec(
         codecs,
@@ -129,38 +138,48 @@ def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanF
         digest_of(scenario),
         _share_bytes(scenario),
     )
+    sensors = AllSensors((), scenario.nodes, (1 + codec.readings, codec.channels))
     window = RecordsAlone(
-        model_of(scenario),
-        build_filter(UnscentedFilter(), STATES),
-        AllSensors((), scenario.nodes, (1 + codec.readings, codec.channels)),
-        codecs,
+        model_of(scenario), build_filter(UnscentedFilter(), STATES), sensors, codecs
     )
+    return {
+        "own": (),
+        "filter": window,
+        "frames": frames,
+        "choice": choice_of(scenario, frames),
+        "schedule": bus.schedule,
+        "rounds": scenario.rounds,
+    }
+
+
+def _tracking_parts(setup: Setup) -> tuple[TrackStep, Tracked, float, Moments]:
+    """What the tracking of nodes has in common in both."""
+    settings = settings_of(setup.scenario)
+    track = _tracker(setup.scenario, window_of(setup.scenario, setup.neighbours))
+    return track, settings.start, UNDETECTED, settings.models.moments
+
+
+def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> ScanFlooding:
     flooding = LabelledFlooding(
         node=node,
-        neighbours=neighbours,
+        neighbours=setup.neighbours,
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
-        own=(),
-        filter=window,
-        frames=frames,
-        choice=choice_of(scenario, frames),
-        schedule=bus.schedule,
-        rounds=scenario.rounds,
         first_step=beginning.step,
         first_cycle=beginning.cycle,
+        **_flooding_parts(setup, bus),
     )
-    settings = settings_of(scenario)
-    return ScanFlooding(
-        flooding,
-        _tracker(scenario, window_steps),
-        settings.start,
-        UNDETECTED,
-        settings.models.moments,
-    )
+    return ScanFlooding(flooding, *_tracking_parts(setup))
+
+
+def _batched(setup: Setup, bus: Bus, links: Links) -> BatchedScanFlooding:
+    flooding = BatchedFlooding(links=links, **_flooding_parts(setup, bus))
+    return BatchedScanFlooding(flooding, *_tracking_parts(setup))
 
 
 FLOODED_SCANS = NetworkWiring(
     share_bytes=_share_bytes,
     estimator=_estimator,
+    batched=_batched,
     check=_check,
-    lacking=lambda _: "target-swarm",
+    lacking=without_arrays,
 )

@@ -44,5 +44,5 @@ SHARED_TRACKS = NetworkWiring(
     share_bytes=lambda scenario: _codec(scenario).size,
     estimator=_estimator,
     check=_check,
-    lacking=lambda _: "target-swarm",
+    lacking=lambda _: "rule track-ci",
 )

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
 from concord.filters.gaussian import Gaussian
@@ -31,11 +32,12 @@ from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.definitions.swarm_scans import new_tracker
 from concord.scenarios.definitions.swarm_tracking import plant_of
-from concord.scenarios.preparation import prepare
+from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from tests.experiments.support import scenario
+from tests.test_batched_agreement import check_run
 
 SMALL: dict[str, Any] = {
     "nodes": 6, "targets": 3, "steps": 12, "clutter": 3, "rounds": 1, "window_steps": 4
@@ -197,6 +199,31 @@ def test_an_empty_scan_lowers_the_existence_and_a_missing_one_does_not():
     assert empty.tracks.existence[0] < 0.5
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"filter": "imm", "occupancy": 1.0},
+        {"association": "nearest", "rounds": 3, "changes": ("4 kill 2", "6 loss 0.5")},
+        {"clutter": 60, "payload_bytes": 98, "loss": 0.0},
+    ],
+    ids=["loss", "several models", "changes", "clusters and records too large"],
+)
+def test_arrays_have_the_bits_of_the_tracks_of_messages(changed: dict[str, Any]):
+    setup, runs = setup_of({**SCARCE, "steps": 10, **changed}), (0, 3)
+    histories = simulate(setup, runs, keep=OPTIONAL)
+    for place, run in enumerate(runs):
+        own = setup_of_run(setup, run)
+        check_run(histories, place, own)
+        trace = trace_of(own)
+        assert trace.tracks is not None
+        found, expected = histories.tracks[place], trace.tracks
+        np.testing.assert_array_equal(found.digest_numbers(), expected.digest_numbers())
+        np.testing.assert_array_equal(found.paths, expected.paths)
+        for one, other in zip(found.logs, expected.logs, strict=True):
+            assert one.steps == other.steps and one.scores() == other.scores()
+
+
 @pytest.mark.slow
 def test_scans_that_a_record_does_not_hold_are_shortened_and_counted():
     crowded = {**SMALL, "payload_bytes": 98, "rounds": 3, "steps": 6}
@@ -238,7 +265,9 @@ def test_the_belief_is_the_number_of_targets_and_the_tracks_are_those_confirmed(
         identity=np.zeros((3, 3), dtype=int),
         confirmed=np.array([True, False, True]),
     )
-    content = estimator.start()._replace(reached=(Reached(0, Tracked(tracks, 0), (), b""),))
+    content = estimator.start()
+    window = content.window._replace(reached=(Reached(0, Tracked(tracks, 0), (), b""),))
+    content = content._replace(window=window)
     mean, cov = estimator.belief(content)
     assert mean == pytest.approx([2.1 + 0.1])
     assert cov.ravel() == pytest.approx([0.8 * 0.2 + 0.9 * 0.1 + 0.4 * 0.6 + 0.1])
