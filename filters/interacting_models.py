@@ -106,8 +106,6 @@ class InteractingModels:
 
     def moments(self, belief: Gaussian) -> Gaussian:
         """Mean (..., n) and covariance (..., n, n) of a stacked belief."""
-        if len(self.modes) == 1:
-            return belief
         means, covs, log_probabilities = self.apart(belief)
         return _merged(np.exp(log_probabilities), means, covs)
 
@@ -119,11 +117,14 @@ class InteractingModels:
         """The parts of a stacked belief."""
         models, n = len(self.modes), self.states
         lanes = belief.mean.shape[:-1]
-        rows = np.arange(models * n).reshape(models, n)
+        if models == 1:
+            mean, cov = belief
+            return Mixture(mean[..., None, :], cov[..., None, :, :], np.zeros((*lanes, 1)))
+        blocks = [slice(model * n, (model + 1) * n) for model in range(models)]
         odds = np.concatenate((np.zeros((*lanes, 1)), belief.mean[..., models * n :]), axis=-1)
         return Mixture(
-            belief.mean[..., rows],
-            belief.cov[..., rows[:, :, None], rows[:, None, :]],
+            belief.mean[..., : models * n].reshape(*lanes, models, n),
+            np.stack([belief.cov[..., block, block] for block in blocks], axis=-3),
             _normalised(odds),
         )
 
@@ -131,6 +132,8 @@ class InteractingModels:
         """The stacked belief of means (..., M, n), covs (..., M, n, n), and logarithms (..., M) of
         what the model probabilities are in proportion to."""
         models, n = len(self.modes), self.states
+        if models == 1:
+            return Gaussian(means[..., 0, :], covs[..., 0, :, :])
         size, lanes = stacked_size(n, models), means.shape[:-2]
         odds = logs[..., 1:] - logs[..., :1]
         mean = np.concatenate((means.reshape(*lanes, models * n), odds), axis=-1)
@@ -144,6 +147,9 @@ class InteractingModels:
 
     def predict(self, belief: Gaussian, transition: Model, noise_cov: np.ndarray, /) -> Gaussian:
         """The stacked belief one step later: the models interact, then each predicts."""
+        if len(self.modes) == 1:
+            (mode,) = self.modes
+            return self.inner.predict(belief, mode.moved(transition), mode.noise_cov(noise_cov))
         means, covs, logs = self.apart(belief)
         # Probability (..., i, j) of model i before the step and j in it.
         both = np.exp(logs)[..., :, None] * self._switching
@@ -203,7 +209,9 @@ def _normalised(odds: np.ndarray) -> np.ndarray:
 
 
 def _merged(weights: np.ndarray, means: np.ndarray, covs: np.ndarray) -> Gaussian:
-    """Mean and covariance of a mixture of weights (..., M)."""
+    """Mean and covariance of a mixture of weights (..., M), whose sum is 1."""
+    if means.shape[-2] == 1:
+        return Gaussian(means[..., 0, :], covs[..., 0, :, :])
     mean = np.einsum("...m,...mi->...i", weights, means)
     away = means - mean[..., None, :]
     spread = covs + away[..., :, None] * away[..., None, :]

@@ -66,7 +66,7 @@ ASSOCIATIONS: dict[str, Callable[[Weights], Association]] = {
 
 def _within(weights: Weights, cluster: TrackCluster) -> Weights:
     """Weights of a cluster, the greatest of each track 1."""
-    miss, hit = weights.miss[cluster.tracks], weights.hit[np.ix_(*cluster)]
+    miss, hit = weights.miss[cluster.tracks], weights.hit[cluster.tracks][:, cluster.detections]
     scale = np.maximum(miss, hit.max(axis=1))
     return Weights(miss / scale, hit / scale[:, None])
 

@@ -279,10 +279,12 @@ def _apart(belief: Gaussian, same_within: float) -> np.ndarray:
     scale = np.trace(cov, axis1=-2, axis2=-1)
     away = mean[older] - mean[younger]
     near = np.vecdot(away, away) <= same_within * (scale[older] + scale[younger])
+    kept = np.ones(count, dtype=bool)
+    if not near.any():
+        return kept
     older, younger, away = older[near], younger[near], away[near]
     both = cov[older] + cov[younger]
     distance = np.vecdot(away, multiply(inverse_spd(both), away))
-    kept = np.ones(count, dtype=bool)
     for first, second in zip(
         older[distance <= same_within], younger[distance <= same_within], strict=True
     ):
