@@ -127,7 +127,7 @@ def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
 
 
 def _flooding_parts(setup: Setup, bus: Bus) -> dict[str, Any]:
-    """What the flooding of scans has in common at a node and at all nodes of many runs."""
+    """Return the fields that flooding has at a node and at all nodes of many runs."""
     scenario = setup.scenario
     codec, window_steps = _scan_codec(scenario), window_of(scenario, setup.neighbours)
     codecs = [codec] * scenario.nodes
@@ -153,7 +153,7 @@ def _flooding_parts(setup: Setup, bus: Bus) -> dict[str, Any]:
 
 
 def _tracking_parts(setup: Setup) -> tuple[TrackStep, Tracked, float, Moments]:
-    """What the tracking of nodes has in common in both."""
+    """Return the last fields of `ScanFlooding` and of `BatchedScanFlooding`."""
     settings = settings_of(setup.scenario)
     track = _tracker(setup.scenario, window_of(setup.scenario, setup.neighbours))
     return track, settings.start, UNDETECTED, settings.models.moments
