@@ -15,7 +15,7 @@ import numpy as np
 from concord.experiments.monte_carlo.spread_history import SpreadHistory
 from concord.experiments.results.record_spread import RecordSpread
 from concord.experiments.results.trace import Past, read_trace
-from concord.experiments.tracking.tracks_told import TracksTold
+from concord.experiments.tracking.tracks_of_runs import TracksOfRuns
 from concord.experiments.tracking.tracks_trace import TracksTrace
 from concord.filters.gaussian import Gaussian
 from concord.runtime.batched.build import build_network, without_array_form
@@ -244,7 +244,7 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     counters: dict[str, np.ndarray] = {}
     # Nodes times nodes times steps: nothing that a rule without records could afford.
     spreads: list[SpreadHistory] = []
-    told = TracksTold(setup, len(runs))
+    told = TracksOfRuns(setup, len(runs))
 
     def steps() -> Iterable[_Recorded]:
         for instant in run(network):

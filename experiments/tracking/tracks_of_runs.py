@@ -8,7 +8,7 @@ from concord.runtime.batched.driver import Instant
 from concord.scenarios.setup import Setup
 
 
-class TracksTold:
+class TracksOfRuns:
     """Tracks and true states of R runs, as they come to be known."""
 
     def __init__(self, setup: Setup, runs: int) -> None:
