@@ -25,10 +25,9 @@ class BatchedSelfChecked(BatchedFlooding):
         return is_suspect(content.windows)
 
     def bids(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
-        """The bids of `BatchedFlooding`; a node that asks for help has urgent news."""
-        return super().bids(
-            content._replace(owed=content.owed + _asking(content).astype(int)), nodes
-        )
+        """The bids of `BatchedFlooding`; a node that asks for help has urgent news once a step."""
+        asks = _asking(content) & (content.cycle - content.sent_cycle >= self.rounds)
+        return super().bids(content._replace(owed=content.owed + asks.astype(int)), nodes)
 
     def _chosen(
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray

@@ -178,11 +178,11 @@ class LabelledFlooding:
 
     def bid(self, content: LabelledContent) -> int | None:
         """Return how many records neighbours lack, newer ones counting more; None for none."""
-        doubts = self.choice.doubts(content.held, content.known)
-        urgency = int(self.choice.need(doubts)) + URGENCY * (content.owed + content.needs)
-        if urgency == 0:
-            return None
-        return urgency * SILENCE + min(content.cycle - content.sent_cycle, SILENCE - 1)
+        silent = content.cycle - content.sent_cycle
+        urgency = int(self.choice.need(self.choice.doubts(content.held, content.known)))
+        # A node that asks for help more than once a step would starve those that can help.
+        urgency += URGENCY * (content.owed + (content.needs and silent >= self.rounds))
+        return urgency * SILENCE + min(silent, SILENCE - 1) if urgency else None
 
     def compose(self, content: LabelledContent) -> tuple[LabelledContent, bytes]:
         """A checkpoint if one is owed, and the records that neighbours may lack."""

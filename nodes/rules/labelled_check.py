@@ -25,7 +25,7 @@ class SelfCheckedFlooding(LabelledFlooding):
         return bool(is_suspect(content.windows)[0, 0])
 
     def bid(self, content: LabelledContent) -> int | None:
-        """The bid of `LabelledFlooding`; a node that asks for help has urgent news."""
+        """The bid of `LabelledFlooding`; a node that asks for help has urgent news once a step."""
         return super().bid(content._replace(needs=content.needs or _asks(content)))
 
     def compose(self, content: LabelledContent) -> tuple[LabelledContent, bytes]:

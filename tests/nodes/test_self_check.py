@@ -164,6 +164,19 @@ def test_a_lost_node_sends_no_checkpoint_and_bids_with_urgency():
     assert share.checkpoint is None and share.suspect and after.owed
     calm, urgent = rule.bid(content), rule.bid(lost(content))
     assert calm is not None and urgent is not None and urgent - calm == URGENCY * SILENCE
+    asked = content._replace(owed=False, sent_cycle=content.cycle)
+    assert rule.bid(lost(asked)) == rule.bid(asked), "it has asked in this step"
+
+
+def test_nodes_that_ask_for_help_leave_slots_to_those_with_news():
+    """A biased sensor made all nodes ask; low frame IDs took all slots, and the others starved."""
+    told = {"nodes": 4, "graph": "path", "loss": 0.0, "window_steps": None, "steps": 24}
+    bus = {"schedule": "dynamic", "occupancy": 0.5, "arbiter": "minislot", "relay": True}
+    setup = ring(**told, **bus, changes=("6 bias 2 6", "11 calm"))
+    trace = read_trace(setup, in_memory(setup))
+    assert not departures(setup, trace)
+    spread = np.linalg.slogdet(trace.cov)[1]
+    np.testing.assert_allclose(spread, np.broadcast_to(spread[:, :1], spread.shape), atol=1e-6)
 
 
 def test_a_node_helps_a_lost_neighbour_unless_it_is_lost_itself():
