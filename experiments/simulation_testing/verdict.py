@@ -10,6 +10,7 @@ from concord.experiments.simulation_testing.promises import (
     CERTAIN,
     CONSISTENT,
     GAUSSIAN,
+    LINEAR,
     MATCHED,
     RETURNING,
     brings_back,
@@ -20,6 +21,7 @@ from concord.experiments.simulation_testing.promises import (
 from concord.experiments.simulation_testing.run_record import RunRecord
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import from_wire
+from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.plants import noise_of
@@ -124,12 +126,27 @@ def check_consistency(run: EstimateHistory) -> None:
         return
     squares = _squares(run.errors, run.cov)
     worst = float(np.nanmax(squares))
-    if worst > most:
+    if worst > most and not _errs_alone(run, most):
         step, node = np.unravel_index(np.nanargmax(squares), squares.shape)
         raise Broken(
             invariant,
             f"node {node} in step {step} errs by {worst:.4g} squared, at most {most:.4g}",
         )
+
+
+def _errs_alone(run: EstimateHistory, most: float) -> bool:
+    """Whether the filter errs beyond a bound on these readings without any network.
+
+    On a nonlinear plant a filter approximates: a first reading after long may leave it too sure.
+    The error is then the filter's, and no rule's. On a linear plant no filter may err so.
+    """
+    if run.setup.scenario.name not in {*MATCHED} - {*LINEAR}:
+        return False
+    told = run.setup, run.readings, run.control
+    one_by_one, together = local_only(*told), centralised(*told)
+    alone = _squares(one_by_one.mean - run.truth[:, None], one_by_one.cov)
+    whole = _squares(together.mean - run.truth, together.cov)
+    return bool(max(np.nanmax(alone), np.nanmax(whole)) > most)
 
 
 def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) -> None:

@@ -9,18 +9,23 @@ import pytest
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import SHARE_FRAMES, to_frames
 from concord.experiments.cli.command_line import main
+from concord.experiments.results.trace import read_trace
+from concord.experiments.simulation_testing.broken import Broken
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import run_case
 from concord.experiments.simulation_testing.draw import draw_case
 from concord.experiments.simulation_testing.promises import brings_back, liars_of
 from concord.experiments.simulation_testing.script import WORDS, calm_from, is_harmless
 from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from concord.experiments.simulation_testing.verdict import EstimateHistory, check_consistency
 from concord.experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
 from concord.nodes.faults.vocabulary import EVERY_FAULT
+from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from tests.experiments.flexray_support import Said, concord
 from tests.experiments.planted_bugs import BUGS, Bug, first_found, likely_seeds, planted
+from tests.experiments.support import scenario
 
 pytestmark = pytest.mark.slow
 
@@ -140,6 +145,21 @@ def test_what_is_fixed_is_so_and_the_rest_is_drawn():
 def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
     """A frame of a later step arrives during an open step, in a slot that is not its sender's."""
     assert run_case(draw_case(228, {})).broken is None
+
+
+@pytest.mark.parametrize("seed", [700176, 700345, 940260])
+def test_errors_that_the_filter_alone_makes_too_are_not_the_networks(seed: int):
+    """The target is seen again after long, or predicted for long along an uncertain turn."""
+    assert run_case(draw_case(seed, {})).broken is None
+
+
+def test_a_network_that_believes_too_much_where_its_filter_does_not_is_found():
+    setup = prepare(scenario("target-tracking", nodes=4, steps=12, stretch=100.0))
+    trace = read_trace(setup, in_memory(setup))
+    run = EstimateHistory(setup, trace.truth, trace.mean, trace.cov, trace.readings, None)
+    check_consistency(run)
+    with pytest.raises(Broken, match="errors are as believed"):
+        check_consistency(run._replace(cov=1e-3 * run.cov))
 
 
 @pytest.mark.parametrize("seed", [940032, 940364])
