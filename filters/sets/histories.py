@@ -61,12 +61,21 @@ def sets_over(
         criterion: the weights of the states; `plain_trace` for the paper's.
 
     Raises:
-        ValueError: an unknown method.
+        ValueError: an unknown method, or a centre and a shape that are no ellipsoid of the states.
     """
     if method not in METHODS:
         raise ValueError(f"method {method!r}: must be one of {', '.join(METHODS)}")
     lanes = received.winner.shape[:-1]
-    n = np.shape(centre)[-1]
+    n = plant.system.transition(0).shape[-1]
+    if np.shape(centre)[-1:] != (n,) or np.shape(shape) != (n, n):
+        raise ValueError(
+            f"centre {np.shape(centre)} and shape {np.shape(shape)} for a plant of {n} states; "
+            f"give ({n},) and ({n}, {n})"
+        )
+    sound = np.isfinite(shape).all() and np.allclose(shape, np.transpose(shape))
+    values = np.linalg.eigvalsh(shape) if sound else np.array([-np.inf])
+    if values[0] < -1e-12 * max(values[-1], 0.0):
+        raise ValueError("shape: must be finite, symmetric and without a negative eigenvalue")
     first = from_shape(np.broadcast_to(centre, (*lanes, n)), np.broadcast_to(shape, (*lanes, n, n)))
     return METHODS[method](plant, received, first, criterion)
 

@@ -210,6 +210,24 @@ def test_sizes_and_weights_that_do_not_fit_are_refused_in_a_sentence():
             augmented(wrong, received, 0)
 
 
+@pytest.mark.parametrize(
+    ("centre", "shape", "says"),
+    [
+        (np.zeros(3), np.eye(4), "for a plant of 4 states"),
+        (np.zeros(4), np.eye(3), "for a plant of 4 states"),
+        (np.zeros(4), -np.eye(4), "without a negative eigenvalue"),
+        (np.zeros(4), np.full((4, 4), np.nan), "finite"),
+        (np.zeros(4), np.triu(np.ones((4, 4))), "symmetric"),
+    ],
+)
+def test_a_first_set_that_is_no_ellipsoid_of_the_states_is_refused(
+    centre: np.ndarray, shape: np.ndarray, says: str
+):
+    _, received = run_of(np.random.default_rng(8), EXAMPLE, lanes=1, cycles=1)
+    with pytest.raises(ValueError, match=says):
+        sets_over(EXAMPLE, received, centre, shape)
+
+
 def test_a_singular_noise_shape_is_a_bound_and_an_indefinite_one_is_refused():
     flat = np.array([[4.0, 2.0], [2.0, 1.0]])
     root = _with_shape(flat).noise_factor(0)
