@@ -11,6 +11,7 @@ from concord.experiments.results.folder import past_variables
 from concord.experiments.results.innovations.of_run import variables_of
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.trace import Past
+from concord.experiments.tracking.track_variables import read_tracks, track_variables_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import Innovations
 from concord.scenarios.setup import Setup
@@ -71,6 +72,7 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables["suspect"] = (("run", "step", "node"), histories.suspect.astype(np.int8))
     if histories.past is not None:
         variables |= past_variables(histories.past, ("run", "step"))
+    variables |= track_variables_of_runs(setup, histories.runs.tolist(), histories.tracks)
     heard = setup.neighbours
     coordinates = {
         "run": histories.runs,
@@ -115,6 +117,7 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
         past=_read_past(data),
         suspect=data["suspect"].to_numpy() > 0 if "suspect" in data else None,
         spreads=(),
+        tracks=read_tracks(data, setup, np.isfinite(arrays["mean"]).all(axis=-1)),
         **arrays,
     )
     return histories, RunCost(**{name: float(one) for name, one in spent.items()})

@@ -5,10 +5,14 @@ import math
 import re
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import xarray
 
+from concord.experiments.monte_carlo.histories_file import read_histories
+from concord.experiments.monte_carlo.many_figures import summarise
+from concord.experiments.results.folder import read_description
 from concord.experiments.results.trace import read_trace
 from concord.experiments.tracking.track_log import TrackLog
 from concord.filters.tracking.scores import gospa
@@ -16,7 +20,7 @@ from concord.filters.tracking.tracks import no_tracks, report
 from concord.plants.scanned_swarm import paths_of
 from concord.runtime.drivers import in_memory
 from concord.scenarios.definitions.swarm_tracking import plant_of
-from concord.scenarios.preparation import prepare
+from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.streams import generator
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
@@ -152,6 +156,27 @@ def test_the_drivers_agree_as_the_page_says(capsys: pytest.CaptureFixture[str]):
     assert {"track-ci" in command for command in found} == {False, True}
     for command in found:
         assert "in-process = processes, bit for bit" in concord(capsys, *command.split()[1:]).out
+
+
+def test_the_report_of_many_runs_scores_the_tracks_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out, words = tmp_path / "many", ("--changes", "9 kill 2", "--rounds", "2", "--run", "3")
+    many = ("--driver", "batched", "--runs", "2", "--json", "-o", str(out))
+    printed = json.loads(concord(capsys, "run", *SMALL, *words, *many).out)
+    setup = read_description(out).setup
+    found, cost = read_histories(out / "run.nc", setup)
+    again = summarise(found, cost)
+    assert again.rmse.value == pytest.approx(printed["rmse"][0], rel=1e-12)
+    assert again.rmse_centralised.value == pytest.approx(printed["rmse_centralised"][0], rel=1e-12)
+    for run, tracks in zip((3, 4), found.tracks, strict=True):
+        expected = read_trace(one := setup_of_run(setup, run), in_memory(one)).tracks
+        assert expected is not None and len(expected.logs[2].steps) == 9
+        np.testing.assert_array_equal(tracks.paths, expected.paths)
+        for log, other in zip(tracks.logs, expected.logs, strict=True):
+            assert log.steps == other.steps
+            found_scores, scores = map(msgspec.structs.asdict, (log.scores(), other.scores()))
+            assert found_scores == pytest.approx(scores, nan_ok=True)
 
 
 def test_a_single_node_is_a_network():
