@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.experiments.identification.fit import CarFit, FoundParameter, fit
+from concord.experiments.identification.slip_reference import slip_reference
 from concord.experiments.identification.sought import value_at
 from concord.experiments.places import make_folder
 from concord.experiments.results.innovations.channel_test import nis_interval
@@ -95,6 +96,10 @@ class Findings(msgspec.Struct, frozen=True):
     """Printed result; standard errors assume white residuals, unlike those of a drive.
 
     `nis_before` and `nis_after` are those of the filter that hears everything, 1 if all is right.
+    Without a logged side slip the fit hears a reference, which is uncertain by
+    `side_slip_reference_rad`, None where there is none. `side_slip_anees` is that of the filter
+    that hears no side slip, with the process noise that was found; the written car has
+    `side_slip_factor` times as much, and its other sensors the NIS `nis_written`.
     """
 
     car: str
@@ -114,6 +119,10 @@ class Findings(msgspec.Struct, frozen=True):
     nis_after: float | None
     nis_interval: tuple[float, float] | None
     converged: bool
+    side_slip_reference_rad: float | None
+    side_slip_anees: float | None
+    side_slip_factor: float | None
+    nis_written: float | None
 
 
 def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) -> None:
@@ -155,6 +164,8 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
 
 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
+    lateral = given.channels.get("lateral_acceleration")
+    known = lateral is not None and len(lateral.values) > 0
     return fit(
         given.channels,
         tyres.car,
@@ -163,6 +174,7 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         ratio=options.data is not None and not logs_road_wheels(options.data),
         time_step_s=TIME_STEP_S,
         min_speed_m_s=options.min_speed,
+        reference=slip_reference(given.channels, tyres, _TYRES[options.tyre]) if known else None,
         on_step=lambda: _say("."),
     )
 
@@ -227,6 +239,7 @@ def _require_new(option: str, path: Path) -> None:
 def _findings(found: Identified, before: Car, fitted: CarFit | None) -> Findings:
     yaw_rate, acceleration, side_slip = found.residual_rms
     front_std, rear_std = found.stiffness_std_n_rad
+    claim = None if fitted is None else fitted.claim
     return Findings(
         car=found.car.name,
         front_stiffness_n_rad=found.car.front_stiffness_n_rad,
@@ -245,6 +258,10 @@ def _findings(found: Identified, before: Car, fitted: CarFit | None) -> Findings
         nis_after=None if fitted is None else fitted.nis_after,
         nis_interval=None if fitted is None else _nis_interval(fitted),
         converged=fitted is None or fitted.converged,
+        side_slip_reference_rad=None if fitted is None else fitted.reference_rad,
+        side_slip_anees=None if claim is None else claim.anees.value,
+        side_slip_factor=None if claim is None else claim.factor,
+        nis_written=None if claim is None else claim.nis,
     )
 
 
@@ -324,6 +341,7 @@ def _in_words(f: Findings) -> Iterator[str]:
     small = [one.name for one in f.parameters if one.high is not None and not one.seen]
     if small:
         yield f"Too small to see, below a bound: {', '.join(small)}."
+    yield from _of_side_slip(f)
     for one in f.parameters:
         if one.name.startswith("noise of ") and one.seen and one.found >= _GROWN * one.before:
             yield (
@@ -338,3 +356,23 @@ def _in_words(f: Findings) -> Iterator[str]:
     )
     if not f.converged:
         yield "The fit ran out of steps: identify again from the car that --out writes."
+
+
+def _of_side_slip(f: Findings) -> Iterator[str]:
+    """Say what told the side slip, and what its errors ask of the process noise."""
+    if f.side_slip_reference_rad is not None:
+        yield (
+            "No side slip is logged. The fit took the one to which yaw rate and lateral "
+            f"acceleration add up, within {1e3 * f.side_slip_reference_rad:.2g} mrad."
+        )
+    if f.side_slip_anees is None:
+        yield (
+            "This drive does not tell the side slip, nor how far the tyres err: its ANEES may be "
+            "far from 1. Log the side slip, or drive a serpentine."
+        )
+    elif f.side_slip_factor is not None and f.side_slip_factor > 1:
+        yield (
+            f"The car has {f.side_slip_factor:.2g} times the process noise of side slip that was "
+            "found: errors of the tyres last longer than a step, and other drives have others. "
+            f"ANEES of the side slip was {f.side_slip_anees:.3g}; NIS is now {f.nis_written:.3g}."
+        )

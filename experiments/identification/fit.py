@@ -19,16 +19,26 @@ from concord.experiments.identification.likelihood import (
     likelihood,
     logged_readings,
 )
-from concord.experiments.identification.sought import Sought, car_with, sought_of, value_at
+from concord.experiments.identification.slip_claim import SlipClaim, slip_claim
+from concord.experiments.identification.slip_reference import SlipReference
+from concord.experiments.identification.sought import (
+    SEEN,
+    Sought,
+    car_with,
+    sought_of,
+    value_at,
+)
+from concord.experiments.identification.without_slip import Heard, as_heard
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car
 
-SEEN = 0.5
-"""Greatest deviation of a parameter that the drive tells, over that of its prior."""
 NORMAL_95 = 1.959964
 _ITERATIONS, _ENOUGH, _LONGEST = 40, 0.01, 1.0
 """Most steps; least squared length of a step in standard deviations; longest step in spreads."""
+_IDLE, _GAIN = 4, 0.1
+"""The fit ends where so many steps in turn gain no more than this of the log density: where a delay
+lies between two samples, steps to either side follow each other without end."""
 
 
 class FoundParameter(NamedTuple):
@@ -52,7 +62,9 @@ class FoundParameter(NamedTuple):
 class CarFit(NamedTuple):
     """A fitted car, its parameters, and NIS per degree of freedom before and after.
 
-    `freedoms` is the number of innovations; `converged` is False where steps ran out.
+    `freedoms` is the number of innovations; `converged` is False where steps ran out. The fit heard
+    a reference of the side slip with the standard deviation `reference_rad`, None for no reference.
+    `claim` is None where the fit heard no side slip. It may raise its process noise in the car.
     """
 
     car: Car
@@ -61,6 +73,8 @@ class CarFit(NamedTuple):
     nis_after: float
     freedoms: int
     converged: bool
+    reference_rad: float | None
+    claim: SlipClaim | None
 
 
 def fit(
@@ -72,6 +86,7 @@ def fit(
     ratio: bool,
     time_step_s: float,
     min_speed_m_s: float,
+    reference: SlipReference | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> CarFit:
     """Fit a car to a log, from the values of its file.
@@ -83,39 +98,54 @@ def fit(
         friction, ratio: whether the friction, and the ratio of the steering wheel, are sought.
         time_step_s: of the filter.
         min_speed_m_s: slower parts do not count.
+        reference: the side slip of a log that has none; the fit hears it if the drive tells it.
         on_step: is called before each step.
     """
     every = sought_of(channels, car, friction=friction, ratio=ratio)
-    log = logged_readings(channels, car, time_step_s, min_speed_m_s)
+    heard = as_heard(Heard(channels, car, every), reference)
+    tried = heard.sought
+    log = logged_readings(heard.channels, heard.car, time_step_s, min_speed_m_s)
 
     def of(kept: np.ndarray) -> Callable[[np.ndarray], Likelihood]:
-        some = tuple(one for one, keep in zip(every, kept, strict=True) if keep)
+        some = tuple(one for one, keep in zip(tried, kept, strict=True) if keep)
 
         def of_some(spreads: np.ndarray) -> Likelihood:
             on_step()
-            return likelihood(log, car, tyre, some, spreads)
+            return likelihood(log, heard.car, tyre, some, spreads)
 
         return of_some
 
-    samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in every])
-    kept = np.ones(len(every), dtype=bool)
-    best = _greatest(of(kept), np.zeros(len(every)), samples)
-    first, told = best.first, _told(every, _precision(best.likelihood))
+    samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in tried])
+    kept = np.ones(len(tried), dtype=bool)
+    best = _greatest(of(kept), np.zeros(len(tried)), samples)
+    first, told = best.first, _told(tried, _precision(best.likelihood))
     if not told.all():
         kept = told
         best = _greatest(of(kept), best.spreads[kept], samples[kept])
-    spreads = np.zeros(len(every))
+    spreads = np.zeros(len(tried))
     spreads[kept] = best.spreads
-    std, robust = np.full((2, len(every)), np.inf)
+    std, robust = np.full((2, len(tried)), np.inf)
     cov = np.linalg.inv(_precision(best.likelihood))
     std[kept] = np.sqrt(np.diagonal(cov))
     scatter = best.likelihood.scatter + np.eye(len(cov))
     robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
-    found = tuple(
-        _found(one, value_at(car, one.path), *at)
-        for one, *at in zip(every, spreads, std, robust, strict=True)
+    told_of = dict(
+        zip((one.path for one in tried), zip(spreads, std, robust, strict=True), strict=True)
     )
-    after = car_with(car, every, spreads)
+    found = tuple(
+        _found(one, value_at(car, one.path), *told_of.get(one.path, (0.0, np.inf, np.inf)))
+        for one in every
+    )
+    moved = np.array([told_of[one.path][0] if one.path in told_of else 0.0 for one in every])
+    after = car_with(car, every, moved)
+    claim = None
+    if "side_slip" in log.sensors:
+        # No reading tells errors of the tyres in other drives.
+        least = car.process_noise.side_slip_rad if heard.reference_rad is not None else 0.0
+        claim = slip_claim(log, heard.car, car_with(heard.car, tried, spreads), tyre, least)
+        noise = after.process_noise
+        wider = replace(noise, side_slip_rad=claim.factor * noise.side_slip_rad)
+        after = replace(after, process_noise=wider)
     return CarFit(
         _in_new_ratio(after, car),
         found,
@@ -123,6 +153,8 @@ def fit(
         best.likelihood.nis,
         first.freedoms,
         best.converged,
+        heard.reference_rad,
+        claim,
     )
 
 
@@ -143,6 +175,7 @@ def _greatest(
     """
     damping, at = 0.0, _at_samples(spreads, samples)
     first = here = of(at)
+    best, idle = (at, here), 0
     before = found = None
     for _ in range(_ITERATIONS):
         found = at + _step(here, at, damping, samples)
@@ -151,6 +184,12 @@ def _greatest(
         if before is not None and same_samples and _length(found - before, here) < _ENOUGH:
             return _Best(found, here, first, True)
         there = of(there_at)
+        gained = _density(best[1], best[0]) - _density(there, there_at)
+        idle = 0 if gained > _GAIN else idle + 1
+        best = (there_at, there) if gained > 0 else best
+        if idle == _IDLE:
+            at, here = best
+            return _Best(at + _step(here, at, 0.0, samples), here, first, True)
         allowed = _density(here, at) + _length(there_at - found, here)
         if _density(there, there_at) < allowed:
             before, at, here, damping = found, there_at, there, damping / 10

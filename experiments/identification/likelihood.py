@@ -166,6 +166,21 @@ def values_at(
     return total
 
 
+def judged(
+    log: LoggedReadings, before: Car, lanes: Car, tyre: Tyre, count: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Innovations (B, lanes, m) of a car of lanes, and their covariances, block by block.
+
+    `before` is the car with which the log was read.
+    """
+    return _Filter(log, before, lanes, tyre, count).blocks()
+
+
+def squared(innovation: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """The normalised squares (...) of innovations (..., m); NaN entries were not taken."""
+    return _terms(*_filled(innovation, cov))[1]
+
+
 def _filled(innovation: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Innovations (..., m) and covariances with 0 and the identity for what was not taken."""
     missing = np.isnan(innovation)

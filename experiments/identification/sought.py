@@ -16,6 +16,9 @@ from concord.plants.vehicle.parameters import Car, ProcessNoise
 
 S = TypeVar("S", bound=msgspec.Struct)
 
+SEEN = 0.5
+"""Greatest deviation of a parameter that the drive tells, over that of its prior."""
+
 _GEOMETRY = (
     ("front_stiffness_n_rad", "front stiffness", "N/rad", 0.5),
     ("rear_stiffness_n_rad", "rear stiffness", "N/rad", 0.5),

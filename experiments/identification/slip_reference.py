@@ -1,0 +1,172 @@
+"""The side slip of a drive from yaw rate and lateral acceleration, where no sensor logs it.
+
+A filter that has no other sensor of the side slip takes errors of its tyres for side slip: the
+lateral acceleration looks as if it told the slip to half a milliradian. The kinematics of a rigid
+body hold without tyres: v_y' = a_y - r v_x. The smoother here integrates them. Of the tyres it
+believes only that they err by `TYRE_ERROR` for `TYRE_ERROR_S`, and that their compliance is off by
+an unknown factor. That ties the slow part down, which integration loses.
+
+Source: Farrelly and Wellstead (1996), Estimation of vehicle lateral velocity, for the two models.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.filters.filter import Affine
+from concord.filters.gaussian import Gaussian
+from concord.filters.smoother import backward_affine, smoothed
+from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.corrections import stamped, with_true_wheels
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive_log import even_drive
+from concord.plants.vehicle.model import MIN_SPEED_M_S, Tyre, single_track
+from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified
+
+TYRE_ERROR, TYRE_ERROR_S = 0.1, 0.5
+"""Error of the tyres' side slip over that of the rear axle, and how long it lasts."""
+_PRIOR_STD = (0.3, 0.3, 0.1, 0.3)
+"""Of the state: lateral speed of the sensor m/s, offset of the lateral acceleration m/s^2, its
+scale (the body rolls), and the compliance of the rear tyres over that of the car."""
+_OFFSET_DRIFT_M_S2 = 0.003
+"""That a second adds."""
+_COMPLIANCE = 3
+
+
+class SlipReference(NamedTuple):
+    """Side slip of the centre of mass.
+
+    Attributes:
+        readings: rad, at the instants of the smoother.
+        std_rad: standard deviation (steps,).
+        told: standard deviation of the compliance of the rear tyres, over that of its prior. A
+            drive that changes its side slip too slowly tells nothing: 1.
+    """
+
+    readings: ChannelReadings
+    std_rad: np.ndarray
+    told: float
+
+
+def slip_reference(
+    channels: Mapping[str, ChannelReadings], tyres: Identified, tyre: Tyre
+) -> SlipReference:
+    """Return the reference of a log with lateral acceleration.
+
+    Args:
+        channels: by the fields of `drive_log.ColumnMap`.
+        tyres: of the car, as output error found them.
+        tyre: law of the lateral force.
+    """
+    sheets = tyres.car.sensors
+    channels = stamped(with_true_wheels(channels, sheets), sheets)
+    start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
+    drive = even_drive(channels, MODEL_STEP_S)
+    told = np.flatnonzero(np.isfinite(drive.steering_rad) & np.isfinite(drive.speed_m_s))
+    drive = Drive(drive.time_step_s, *(values[told[0] : told[-1] + 1] for values in drive[1:]))
+    times_s = start_s + drive.time_step_s * (told[0] + np.arange(drive.steps))
+    turning, accelerated = (channels[name] for name in ("yaw_rate", "lateral_acceleration"))
+    yaw_rate = np.interp(times_s, *turning) - sheets.yaw_rate.offset
+    lateral = np.interp(times_s, *accelerated) - sheets.lateral_acceleration.offset
+    speed = np.maximum(_smooth(drive.speed_m_s, drive.time_step_s), MIN_SPEED_M_S)
+    slip, rear = _of_tyres(drive, yaw_rate, tyres, tyre)
+    drift = np.hypot(_drift(accelerated), np.median(speed) * _drift(turning))
+    arm = sheets.accelerometer_ahead_m * yaw_rate
+    driven = _Driven(
+        drive.time_step_s, drift, lateral, yaw_rate * speed, slip * speed + arm, rear * speed
+    )
+    mean, _ = _smoothed(driven, TYRE_ERROR * _rms(driven.rear))
+    left = driven.level - mean[:, 0] + mean[:, _COMPLIANCE] * driven.rear
+    mean, cov = _smoothed(driven, _rms(left))
+    told = float(np.sqrt(cov[-1, _COMPLIANCE, _COMPLIANCE])) / _PRIOR_STD[_COMPLIANCE]
+    return SlipReference(
+        ChannelReadings(times_s, np.arctan((mean[:, 0] - arm) / speed)),
+        np.sqrt(cov[:, 0, 0]) / speed,
+        told,
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _smooth(values: np.ndarray, time_step_s: float) -> np.ndarray:
+    """The mean over a quarter of a second to either side."""
+    half = round(0.25 / time_step_s)
+    return np.convolve(np.pad(values, half, mode="edge"), np.ones(2 * half + 1), "valid") / (
+        2 * half + 1
+    )
+
+
+def _drift(readings: ChannelReadings) -> float:
+    """What a second adds to the integral of a channel's noise, told by its third differences."""
+    if len(readings.values) < 4:
+        return np.inf
+    noise = np.sqrt(np.mean(np.square(np.diff(readings.values, 3))) / 20)
+    return float(noise * np.sqrt(readings.spacing_s))
+
+
+def _of_tyres(
+    drive: Drive, yaw_rate: np.ndarray, tyres: Identified, tyre: Tyre
+) -> tuple[np.ndarray, np.ndarray]:
+    """Side slip (steps,) of the driven single-track model, and the slip angle of its rear axle."""
+    car: Car = tyres.car
+    track = single_track(car, tyre, drive.time_step_s)
+    state = np.array([yaw_rate[0], 0.0, drive.speed_m_s[0]])
+    found = np.empty((drive.steps, 2))
+    driving = np.nan_to_num(drive.longitudinal_acceleration_m_s2)
+    for k in range(drive.steps):
+        state[2] = drive.speed_m_s[k]
+        control = np.array([drive.steering_rad[k] + tyres.steering_offset_rad, driving[k]])
+        found[k] = state[1], track.axle_slips(state, control[0])[1]
+        state = track.transition(state, control, k)
+    return found[:, 0], found[:, 1]
+
+
+class _Driven(NamedTuple):
+    """A drive as the smoother takes it.
+
+    Attributes:
+        time_step_s: between instants.
+        drift: m/s that a second adds to the lateral speed.
+        lateral: acceleration (steps,) in m/s^2.
+        turning: yaw rate times speed (steps,) in m/s^2.
+        level: lateral speed (steps,) of the sensor in m/s, as the tyres have it.
+        rear: slip angle of the rear axle times speed (steps,) in m/s.
+    """
+
+    time_step_s: float
+    drift: float
+    lateral: np.ndarray
+    turning: np.ndarray
+    level: np.ndarray
+    rear: np.ndarray
+
+
+def _smoothed(driven: _Driven, tyre_error: float) -> Gaussian:
+    """States (steps, 4) where the tyres' lateral speed errs by `tyre_error` m/s."""
+    step = driven.time_step_s
+    noise_cov = np.diag([step * driven.drift**2, step * _OFFSET_DRIFT_M_S2**2, 0.0, 0.0])
+    variance = 2 * TYRE_ERROR_S / step * tyre_error**2
+    belief = Gaussian(np.zeros(4), np.diag(np.square(_PRIOR_STD)))
+    beliefs, ways = [], []
+    for k in range(len(driven.lateral)):
+        if k:
+            slope, before = np.eye(4), driven.lateral[k - 1]
+            slope[0, 1], slope[0, 2] = -step, -step * before
+            predicted = slope @ belief.mean
+            predicted[0] += step * (before - driven.turning[k - 1])
+            moved = Affine(predicted, slope, np.zeros((4, 4)))
+            ways.append(backward_affine(belief, moved, noise_cov))
+            belief = ways[-1].predicted
+        row = np.array([1.0, 0.0, 0.0, -driven.rear[k]])
+        gain = belief.cov @ row / (row @ belief.cov @ row + variance)
+        less = np.eye(4) - np.outer(gain, row)
+        cov = less @ belief.cov @ less.T + variance * np.outer(gain, gain)
+        belief = Gaussian(belief.mean + gain * (driven.level[k] - row @ belief.mean), cov)
+        beliefs.append(belief)
+    for k in range(len(ways) - 1, -1, -1):
+        beliefs[k] = smoothed(beliefs[k], ways[k], beliefs[k + 1])
+    return Gaussian(*(np.stack(parts) for parts in zip(*beliefs, strict=True)))
