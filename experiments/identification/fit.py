@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from concord.experiments.identification.likelihood import (
     Likelihood,
+    LoggedReadings,
     likelihood,
     logged_readings,
 )
@@ -124,28 +125,20 @@ def fit(
         best = _greatest(of(kept), best.spreads[kept], samples[kept])
     spreads = np.zeros(len(tried))
     spreads[kept] = best.spreads
-    std, robust = np.full((2, len(tried)), np.inf)
-    cov = np.linalg.inv(_precision(best.likelihood))
-    std[kept] = np.sqrt(np.diagonal(cov))
-    scatter = best.likelihood.scatter + np.eye(len(cov))
-    robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
-    told_of = dict(
-        zip((one.path for one in tried), zip(spreads, std, robust, strict=True), strict=True)
-    )
+    deviations = _deviations(best.likelihood, kept)
+    told_of = {
+        one.path: (moved, *both)
+        for one, moved, *both in zip(tried, spreads, *deviations, strict=True)
+    }
+    nothing = (0.0, np.inf, np.inf)
     found = tuple(
-        _found(one, value_at(car, one.path), *told_of.get(one.path, (0.0, np.inf, np.inf)))
-        for one in every
+        _found(one, value_at(car, one.path), *told_of.get(one.path, nothing)) for one in every
     )
-    moved = np.array([told_of[one.path][0] if one.path in told_of else 0.0 for one in every])
-    after = car_with(car, every, moved)
-    claim = None
+    moved = np.array([told_of.get(one.path, nothing)[0] for one in every])
+    after, claim = car_with(car, every, moved), None
     if "side_slip" in log.sensors:
-        # No reading tells errors of the tyres in other drives.
-        least = car.process_noise.side_slip_rad if heard.reference_rad is not None else 0.0
-        claim = slip_claim(log, heard.car, car_with(heard.car, tried, spreads), tyre, least)
-        noise = after.process_noise
-        wider = replace(noise, side_slip_rad=claim.factor * noise.side_slip_rad)
-        after = replace(after, process_noise=wider)
+        claim = _claim(log, heard, car_with(heard.car, tried, spreads), tyre)
+        after = _with_claim(after, claim)
     return CarFit(
         _in_new_ratio(after, car),
         found,
@@ -156,6 +149,30 @@ def fit(
         heard.reference_rad,
         claim,
     )
+
+
+def _deviations(here: Likelihood, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Deviations (p,) of the parameters under the model, and robust ones; infinite if not kept."""
+    std, robust = np.full((2, len(kept)), np.inf)
+    cov = np.linalg.inv(_precision(here))
+    std[kept] = np.sqrt(np.diagonal(cov))
+    scatter = here.scatter + np.eye(len(cov))
+    robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
+    return std, robust
+
+
+def _claim(log: LoggedReadings, heard: Heard, found: Car, tyre: Tyre) -> SlipClaim:
+    """The claim; without a slip sensor no reading tells how the tyres err in other drives, and the
+    process noise is no less than that of the file."""
+    alone = heard.reference_rad is not None
+    least = heard.car.process_noise.side_slip_rad if alone else 0.0
+    return slip_claim(log, heard.car, found, tyre, least)
+
+
+def _with_claim(car: Car, claim: SlipClaim) -> Car:
+    noise = car.process_noise
+    wider = replace(noise, side_slip_rad=claim.factor * noise.side_slip_rad)
+    return replace(car, process_noise=wider)
 
 
 class _Best(NamedTuple):

@@ -32,16 +32,19 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     """
     description = read_description(folder)
     data = _arrays(folder, description)
-    figures = {"error-over-time": _errors(description, data)}
-    if not is_set_valued(description.setup.scenario):
-        figures["consistency"] = _consistency(description, data)
+    figures, told = {}, _told(description, data)
+    if told.any():
+        figures["error-over-time"] = _errors(description, data, told)
+    if told.any() and not is_set_valued(description.setup.scenario):
+        figures["consistency"] = _consistency(description, data, told)
     if "nis" in data:
         score = definition_of(description.setup.scenario).score
         first = min(score.first_step, data.sizes["step"] - 1)
         figures["innovations"] = innovation_figure(data, first, _title(description, data))
-    if "smoothed_mean" in data:
+    if "smoothed_mean" in data and told.any():
         figures["error-against-lag"] = _lags(description, data)
-    figures["network-map"] = _map(description, data)
+    if told.any():
+        figures["network-map"] = _map(description, data)
     if description.setup.scenario.nodes > 1:
         figures["share-ages"] = _ages(description, data)
     return figures
@@ -62,7 +65,13 @@ def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
     return data
 
 
-def _errors(description: Description, data: "xarray.Dataset") -> "Figure":
+def _told(description: Description, data: "xarray.Dataset") -> np.ndarray:
+    """At which steps (S,) the truth of the scored states is known; of a log, seldom at all."""
+    states = list(definition_of(description.setup.scenario).score.states)
+    return np.isfinite(data["truth"].to_numpy()[..., states]).all(axis=-1).any(axis=0)
+
+
+def _errors(description: Description, data: "xarray.Dataset", told: np.ndarray) -> "Figure":
     setup = description.setup
     score = definition_of(setup.scenario).score
     errors = np.sqrt((_error(data)[..., list(score.states)] ** 2).sum(-1))
@@ -71,6 +80,7 @@ def _errors(description: Description, data: "xarray.Dataset") -> "Figure":
     central = centralised_of_runs(setup, runs, data["readings"].to_numpy(), control).mean
     off = central - data["truth"].to_numpy()
     figure, axes, time = _axes(data)
+    time, errors, off = time[told], errors[:, told], off[:, told]
     low, quarter, three, high = np.nanquantile(errors, (0, 0.25, 0.75, 1), axis=(0, 2))
     of_runs = " in all runs" if len(runs) > 1 else ""
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.15, linewidth=0,
@@ -90,10 +100,11 @@ def _error(data: "xarray.Dataset") -> np.ndarray:
     return data["mean"].to_numpy() - data["truth"].to_numpy()[:, :, None]
 
 
-def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
+def _consistency(description: Description, data: "xarray.Dataset", told: np.ndarray) -> "Figure":
     states = len(definition_of(description.setup.scenario).score.nees_states)
     values = data["nees"].to_numpy() / states
     figure, axes, time = _axes(data)
+    time, values = time[told], values[:, told]
     low, high = np.nanquantile(values, (0.05, 0.95), axis=(0, 2))
     axes.fill_between(time, low, high, color=COLOURS[2], alpha=0.2, linewidth=0,
                       label="9 nodes of 10")  # fmt: skip

@@ -114,6 +114,37 @@ def test_many_runs_have_pictures_and_the_page_of_what_was_printed(
     assert len(said) >= 4 and all(line in printed for line in said), said
 
 
+@pytest.mark.filterwarnings("error")
+def test_steps_without_truth_are_not_in_the_pictures_of_errors(tmp_path: Path):
+    """A log has its truth at some steps, or at none."""
+    main(
+        [
+            "run",
+            "--scenario",
+            "oscillator",
+            "--nodes",
+            "3",
+            "--steps",
+            "22",
+            "--out",
+            str(tmp_path / "run"),
+        ]
+    )
+    for unknown, drawn in ((slice(1, None, 2), [11, 11]), (slice(None), [])):
+        with xarray.load_dataset(tmp_path / "run" / "run.nc") as data:
+            for name in ("truth", "nees"):
+                data[name][unknown] = np.nan
+        write_dataset(data, tmp_path / "run" / "run.nc")
+        figures = run_figures(tmp_path / "run")
+        assert {"innovations", "share-ages"} <= set(figures)
+        assert ("network-map" in figures) == bool(drawn)
+        of_errors = [
+            figures[name] for name in ("error-over-time", "consistency") if name in figures
+        ]
+        shown = [np.asarray(figure.axes[0].lines[0].get_ydata()) for figure in of_errors]
+        assert [len(values) for values in shown] == drawn
+
+
 def test_pictures_of_many_runs_are_of_all_of_them(tmp_path: Path):
     """One run among many is drawn as it is alone, if the others have the same numbers."""
     folder = tmp_path / "many"
