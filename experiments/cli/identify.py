@@ -164,8 +164,6 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
 
 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
-    lateral = given.channels.get("lateral_acceleration")
-    known = lateral is not None and len(lateral.values) > 0
     return fit(
         given.channels,
         tyres.car,
@@ -174,7 +172,7 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         ratio=options.data is not None and not logs_road_wheels(options.data),
         time_step_s=TIME_STEP_S,
         min_speed_m_s=options.min_speed,
-        reference=slip_reference(given.channels, tyres, _TYRES[options.tyre]) if known else None,
+        reference=slip_reference(given.channels, tyres, _TYRES[options.tyre]),
         on_step=lambda: _say("."),
     )
 
@@ -350,8 +348,9 @@ def _in_words(f: Findings) -> Iterator[str]:
                 "sensor that fails at times. A NIS near 1 does not rule that out."
             )
     low, high = f.nis_interval
+    heard = "everything" if f.side_slip_reference_rad is None else "that side slip too"
     yield (
-        f"NIS of the filter that hears everything: {f.nis_before:.3g} before, {f.nis_after:.3g} "
+        f"NIS of the filter that hears {heard}: {f.nis_before:.3g} before, {f.nis_after:.3g} "
         f"after (95 %: {low:.3g} to {high:.3g}), where 1 is right."
     )
     if not f.converged:

@@ -17,7 +17,7 @@ import numpy as np
 from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import backward_affine, smoothed
-from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, interpolated
 from concord.plants.vehicle.corrections import stamped, with_true_wheels
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import even_drive
@@ -33,6 +33,9 @@ scale (the body rolls), and the compliance of the rear tyres over that of the ca
 _OFFSET_DRIFT_M_S2 = 0.003
 """That a second adds."""
 _COMPLIANCE = 3
+_BLIND_M_S = 3.0
+"""That a second adds to the lateral speed in a gap of the readings."""
+_LEAST_READINGS = 100
 
 
 class SlipReference(NamedTuple):
@@ -52,14 +55,19 @@ class SlipReference(NamedTuple):
 
 def slip_reference(
     channels: Mapping[str, ChannelReadings], tyres: Identified, tyre: Tyre
-) -> SlipReference:
-    """Return the reference of a log with lateral acceleration.
+) -> SlipReference | None:
+    """Return the reference of a log; None where it has hardly any lateral acceleration.
 
     Args:
         channels: by the fields of `drive_log.ColumnMap`.
         tyres: of the car, as output error found them.
         tyre: law of the lateral force.
     """
+    if "lateral_acceleration" not in channels:
+        return None
+    turning, accelerated = (channels[name] for name in ("yaw_rate", "lateral_acceleration"))
+    if min(len(turning.values), len(accelerated.values)) < _LEAST_READINGS:
+        return None
     sheets = tyres.car.sensors
     channels = stamped(with_true_wheels(channels, sheets), sheets)
     start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
@@ -68,11 +76,15 @@ def slip_reference(
     drive = Drive(drive.time_step_s, *(values[told[0] : told[-1] + 1] for values in drive[1:]))
     times_s = start_s + drive.time_step_s * (told[0] + np.arange(drive.steps))
     turning, accelerated = (channels[name] for name in ("yaw_rate", "lateral_acceleration"))
-    yaw_rate = np.interp(times_s, *turning) - sheets.yaw_rate.offset
-    lateral = np.interp(times_s, *accelerated) - sheets.lateral_acceleration.offset
+    grid = SamplingInstants(times_s[0], drive.time_step_s, drive.steps)
+    yaw_rate = interpolated(turning, grid) - sheets.yaw_rate.offset
+    lateral = interpolated(accelerated, grid) - sheets.lateral_acceleration.offset
+    known = np.isfinite(yaw_rate) & np.isfinite(lateral)
+    yaw_rate, lateral = np.nan_to_num(yaw_rate), np.nan_to_num(lateral)
     speed = np.maximum(_smooth(drive.speed_m_s, drive.time_step_s), MIN_SPEED_M_S)
     slip, rear = _of_tyres(drive, yaw_rate, tyres, tyre)
-    drift = np.hypot(_drift(accelerated), np.median(speed) * _drift(turning))
+    noise = np.hypot(_drift(accelerated), np.median(speed) * _drift(turning))
+    drift = np.where(known, noise, _BLIND_M_S)
     arm = sheets.accelerometer_ahead_m * yaw_rate
     driven = _Driven(
         drive.time_step_s, drift, lateral, yaw_rate * speed, slip * speed + arm, rear * speed
@@ -82,8 +94,8 @@ def slip_reference(
     mean, cov = _smoothed(driven, _rms(left))
     told = float(np.sqrt(cov[-1, _COMPLIANCE, _COMPLIANCE])) / _PRIOR_STD[_COMPLIANCE]
     return SlipReference(
-        ChannelReadings(times_s, np.arctan((mean[:, 0] - arm) / speed)),
-        np.sqrt(cov[:, 0, 0]) / speed,
+        ChannelReadings(times_s[known], np.arctan((mean[:, 0] - arm) / speed)[known]),
+        (np.sqrt(cov[:, 0, 0]) / speed)[known],
         told,
     )
 
@@ -102,8 +114,6 @@ def _smooth(values: np.ndarray, time_step_s: float) -> np.ndarray:
 
 def _drift(readings: ChannelReadings) -> float:
     """What a second adds to the integral of a channel's noise, told by its third differences."""
-    if len(readings.values) < 4:
-        return np.inf
     noise = np.sqrt(np.mean(np.square(np.diff(readings.values, 3))) / 20)
     return float(noise * np.sqrt(readings.spacing_s))
 
@@ -130,7 +140,7 @@ class _Driven(NamedTuple):
 
     Attributes:
         time_step_s: between instants.
-        drift: m/s that a second adds to the lateral speed.
+        drift: m/s (steps,) that a second adds to the lateral speed.
         lateral: acceleration (steps,) in m/s^2.
         turning: yaw rate times speed (steps,) in m/s^2.
         level: lateral speed (steps,) of the sensor in m/s, as the tyres have it.
@@ -138,7 +148,7 @@ class _Driven(NamedTuple):
     """
 
     time_step_s: float
-    drift: float
+    drift: np.ndarray
     lateral: np.ndarray
     turning: np.ndarray
     level: np.ndarray
@@ -148,7 +158,7 @@ class _Driven(NamedTuple):
 def _smoothed(driven: _Driven, tyre_error: float) -> Gaussian:
     """States (steps, 4) where the tyres' lateral speed errs by `tyre_error` m/s."""
     step = driven.time_step_s
-    noise_cov = np.diag([step * driven.drift**2, step * _OFFSET_DRIFT_M_S2**2, 0.0, 0.0])
+    noise_cov = np.diag([0.0, step * _OFFSET_DRIFT_M_S2**2, 0.0, 0.0])
     variance = 2 * TYRE_ERROR_S / step * tyre_error**2
     belief = Gaussian(np.zeros(4), np.diag(np.square(_PRIOR_STD)))
     beliefs, ways = [], []
@@ -159,6 +169,7 @@ def _smoothed(driven: _Driven, tyre_error: float) -> Gaussian:
             predicted = slope @ belief.mean
             predicted[0] += step * (before - driven.turning[k - 1])
             moved = Affine(predicted, slope, np.zeros((4, 4)))
+            noise_cov[0, 0] = step * driven.drift[k - 1] ** 2
             ways.append(backward_affine(belief, moved, noise_cov))
             belief = ways[-1].predicted
         row = np.array([1.0, 0.0, 0.0, -driven.rear[k]])

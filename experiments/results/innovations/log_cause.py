@@ -8,6 +8,7 @@ from msgspec import structs
 from concord.experiments.identification.likelihood import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.experiments.identification.suspects import Suspect, suspect
+from concord.experiments.identification.without_slip import SLIP_NOISE
 from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.parameters import Car, ProcessNoise
@@ -22,7 +23,8 @@ LONGEST_S = 30.0
 def log_cause(setup: Setup, counted: np.ndarray) -> str:
     """The sentence on the cause, from the steps (S,) that count.
 
-    Empty without a log of a car, and where no value of its file is wrong beyond chance.
+    Empty without a log of a car, and where no value of its file is wrong beyond chance. A log
+    without side slip does not name its process noise.
     """
     plant = setup.scenario.plant
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
@@ -33,7 +35,11 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
     end = min(len(counted), int(np.argmax(counted)) + round(LONGEST_S / setup.time_step_s))
     log = replace(log, readings=log.readings[:end], counted=log.counted[:end] & counted[:end])
     ratio = not logs_road_wheels(plant.data)
-    found = suspect(log, car, tanh_tyre, sought_of(channels, car, friction=False, ratio=ratio))
+    every = sought_of(channels, car, friction=False, ratio=ratio)
+    if not ("side_slip" in channels and len(channels["side_slip"].values)):
+        # It covers errors of the tyres, which no reading tells (`slip_claim`).
+        every = tuple(one for one in every if one.path != SLIP_NOISE)
+    found = suspect(log, car, tanh_tyre, every)
     return "" if found is None else in_words(found, plant.data)
 
 
