@@ -11,12 +11,11 @@ from concord.experiments.identification.sought import SEEN, Sought
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.parameters import Car, SensorSheet
 
-SLIP_NOISE = ("process_noise", "side_slip_rad")
 _ARM = ("sensors", "accelerometer_ahead_m")
 _HIDDEN = (
     _ARM,
     ("sensors", "lateral_acceleration", "noise"),
-    SLIP_NOISE,
+    ("process_noise", "side_slip_rad"),
 )
 """Without a reference the fit trades errors of the tyres for side slip here, at a NIS of 1."""
 _LATE = ("sensors", "lateral_acceleration", "delay_s")

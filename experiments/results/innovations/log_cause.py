@@ -8,7 +8,7 @@ from msgspec import structs
 from concord.experiments.identification.likelihood import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.experiments.identification.suspects import Suspect, suspect
-from concord.experiments.identification.without_slip import SLIP_NOISE
+from concord.experiments.identification.without_slip import Heard, as_heard
 from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.parameters import Car, ProcessNoise
@@ -23,8 +23,8 @@ LONGEST_S = 30.0
 def log_cause(setup: Setup, counted: np.ndarray) -> str:
     """The sentence on the cause, from the steps (S,) that count.
 
-    Empty without a log of a car, and where no value of its file is wrong beyond chance. A log
-    without side slip does not name its process noise.
+    Empty without a log of a car, and where no value of its file is wrong beyond chance. Without
+    side slip it names no value that covers errors of the tyres.
     """
     plant = setup.scenario.plant
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
@@ -36,10 +36,7 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
     log = replace(log, readings=log.readings[:end], counted=log.counted[:end] & counted[:end])
     ratio = not logs_road_wheels(plant.data)
     every = sought_of(channels, car, friction=False, ratio=ratio)
-    if not ("side_slip" in channels and len(channels["side_slip"].values)):
-        # It covers errors of the tyres, which no reading tells (`slip_claim`).
-        every = tuple(one for one in every if one.path != SLIP_NOISE)
-    found = suspect(log, car, tanh_tyre, every)
+    found = suspect(log, car, tanh_tyre, as_heard(Heard(channels, car, every), None).sought)
     return "" if found is None else in_words(found, plant.data)
 
 
