@@ -52,6 +52,7 @@ def reference_of(car: str, manoeuvre: str) -> tuple[SlipReference, np.ndarray]:
     channels = channels_of(without_slip(drive))
     tyres = identify(even_drive(channels, 0.005), data_sheet(TRUE_CARS[car]))
     found = slip_reference(channels, tyres, tanh_tyre)
+    assert found is not None
     exact = np.interp(found.readings.stamps_s, true.time_s, true.side_slip_rad)
     return found, found.readings.values - exact
 
