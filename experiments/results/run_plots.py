@@ -68,7 +68,8 @@ def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
 def _told(description: Description, data: "xarray.Dataset") -> np.ndarray:
     """At which steps (S,) the truth of the scored states is known; of a log, seldom at all."""
     states = list(definition_of(description.setup.scenario).score.states)
-    return np.isfinite(data["truth"].to_numpy()[..., states]).all(axis=-1).any(axis=0)
+    known = np.isfinite(data["truth"].to_numpy()[..., states])
+    return np.asarray(known.all(axis=-1).any(axis=0))
 
 
 def _errors(description: Description, data: "xarray.Dataset", told: np.ndarray) -> "Figure":
