@@ -11,6 +11,7 @@ from concord.nodes.estimator import (
     KeepsPast,
     KeepsTracks,
     KeepsZonotope,
+    SolvesProgrammes,
     WeighsShares,
 )
 from concord.nodes.messages import Estimate, to_wire
@@ -31,7 +32,9 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         smoothed, cov = cast(KeepsPast, estimator).smoothed(content)
         smoothed_std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
     checks = _has(type(estimator), ChecksItself)
-    weights = tracks = None
+    weights = tracks = gap = None
+    if _has(type(estimator), SolvesProgrammes):
+        gap = cast(SolvesProgrammes, estimator).gap(content)
     if _has(type(estimator), KeepsTracks):
         tracks = cast(KeepsTracks, estimator).tracks(content)
     if _has(type(estimator), WeighsShares):
@@ -48,6 +51,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         absent=tuple(sorted(state.absent)),
         weights=None if weights is None else to_wire(weights.round(_WEIGHT_DECIMALS)),
         tracks=tracks,
+        gap=gap,
     )
 
 

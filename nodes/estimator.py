@@ -80,6 +80,15 @@ class KeepsZonotope(Protocol):
 
 
 @runtime_checkable
+class SolvesProgrammes(Protocol):
+    """An estimator that may find a set by a convex programme."""
+
+    def gap(self, content: Any) -> float | None:
+        """How far at most the trace of the set is from the least, relative to it; None without."""
+        ...
+
+
+@runtime_checkable
 class ChecksItself(Protocol):
     """An estimator that tests whether what it has heard fits its belief."""
 

@@ -118,7 +118,8 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     its belief. `age_s`: in real time, seconds since the sampling instant of the step. `absent`:
     the nodes that it takes for out. `weights` are those of the neighbours' shares in the last
     round, rounded to four decimals, of a rule that averages; the rest is the weight of the own
-    share. `tracks` are those of a node that follows several targets.
+    share. `tracks` are those of a node that follows several targets. `gap`: the trace of a set that
+    a programme found is within this fraction of the least.
     """
 
     node: NodeIndex
@@ -135,6 +136,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     absent: NodeTuple = ()
     weights: list[float | None] | None = None
     tracks: ReportedTracks | None = None
+    gap: float | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -198,6 +198,9 @@ def write_arrays(
         limit = {} if description.tempo is None else {"limit": description.tempo.oldest_s}
         said = {"units": "s", "origin": "sampling instant of the step", **limit}
         variables["estimate_age"] = (("step", "node"), trace.estimate_age_s, said)
+    if trace.duality_gap is not None:
+        said = {"meaning": "the trace of the set is within this fraction of the least"}
+        variables["duality_gap"] = (("step", "node"), trace.duality_gap, said)
     if trace.past is not None:
         variables |= past_variables(trace.past, ("step",))
     if (found := innovations or run_innovations(setup, trace)) is not None:

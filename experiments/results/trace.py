@@ -49,7 +49,8 @@ class Trace(NamedTuple):
         for rules without, and where the network changed. past: for rules that estimate it. suspect:
         (steps, N), which nodes say that their belief does not fit what they have heard.
         estimate_age_s: (steps, N), age of each estimate when it was sent; None but in real time.
-        tracks: of several targets, whose number is the state.
+        tracks: of several targets, whose number is the state. duality_gap: (steps, N), of sets that
+        a programme found; None without.
     """
 
     truth: np.ndarray
@@ -68,6 +69,7 @@ class Trace(NamedTuple):
     suspect: np.ndarray | None = None
     estimate_age_s: np.ndarray | None = None
     tracks: TracksTrace | None = None
+    duality_gap: np.ndarray | None = None
 
     @property
     def steps(self) -> int:
@@ -147,7 +149,7 @@ def _assemble(
     packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
     past, suspect = _nothing(setup, steps), np.zeros((steps, nodes), dtype=bool)
-    estimate_age_s = np.full((steps, nodes), np.nan)
+    estimate_age_s, gap = np.full((2, steps, nodes), np.nan)
     delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -161,6 +163,7 @@ def _assemble(
         ages[k, i, setup.neighbours[i]] = estimate.ages
         counters[i], suspect[k, i] = estimate.counters, estimate.suspect
         estimate_age_s[k, i] = np.nan if estimate.age_s is None else estimate.age_s
+        gap[k, i] = np.nan if estimate.gap is None else estimate.gap
         if past is not None and estimate.smoothed and estimate.smoothed_std:
             past.mean[k, :, i] = from_wire(estimate.smoothed)
             past.std[k, :, i] = from_wire(estimate.smoothed_std)
@@ -193,6 +196,7 @@ def _assemble(
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
         estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
         tracks=tracks,
+        duality_gap=None if np.isnan(gap).all() else gap,
     )
 
 

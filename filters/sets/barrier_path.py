@@ -32,6 +32,8 @@ _MOST_OF_THE_WAY = 0.9
 _ROUGH, _SMALL, _FINE = 0.5, 1e-3, 1e-10
 # Weights of the barrier in the dual variables that are tried, in those of the last.
 _DUAL_WEIGHTS = (0.5, 1.0, 2.0, 8.0)
+# Stages of the path whose gap is below so many times the accuracy bound the trace too.
+_COARSE = 1e4
 
 
 class BarrierTask(NamedTuple):
@@ -91,17 +93,21 @@ def _follow(task: BarrierTask, accuracy: float) -> tuple[np.ndarray, np.ndarray,
     # On the path to the optimum the gap is the barrier's weight times the number of its terms.
     parameters = sum(task.terms.shape[-2:-4:-1]) + 1
     barrier, weight = _FIRST_BARRIER, point.trace
+    least = np.zeros(point.trace.shape)
     for _ in range(_MOST_BARRIERS):
         last = barrier * parameters <= accuracy
         # Relative to the trace, so that the units of the state do not matter.
         weight = barrier * np.maximum(point.trace, np.finfo(float).tiny)
         point = _centre(task, point, weight, _FINE if last else _ROUGH)
+        if last or barrier * parameters <= _COARSE * accuracy:
+            # Where the last point is not centred for its rounding, the bound of an earlier one is.
+            least = np.fmax(least, _least_trace(task, point, weight))
         if last:
             break
         barrier *= _STEP_OF_BARRIER
     sound = np.isfinite(point.trace)
     found = np.where(sound[:, None], point.multipliers, np.nan)
-    return found, point.trace, np.where(sound, _least_trace(task, point, weight), np.nan)
+    return found, point.trace, np.where(sound, least, np.nan)
 
 
 def _least_trace(task: BarrierTask, point: _Point, barrier: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from concord.filters.sets.bus_readings import lifted_evidence
 from concord.filters.sets.ellipsoid import Ellipsoid, from_shape, image, moved
 from concord.filters.sets.histories import CycleStep, augmented_prior
 from concord.filters.sets.lifted_cycle import LiftedCycle, augment, lift
-from concord.filters.sets.tight_estimator import conditioned_step
+from concord.filters.sets.tight_estimator import conditioned
 from concord.filters.stochastic_ukf import Received
 from concord.nodes.receivers.set_receivers import (
     ContentionResult,
@@ -45,22 +45,24 @@ class ReceivedCycle(NamedTuple):
     result: ContentionResult
 
 
-def conditioned_cycle(kept: Ellipsoid, cycle: ReceivedCycle) -> tuple[Ellipsoid, Ellipsoid]:
+CycleCut = tuple[Ellipsoid, Ellipsoid, np.ndarray]
+
+
+def conditioned_cycle(accuracy: float, kept: Ellipsoid, cycle: ReceivedCycle) -> CycleCut:
     """Cut the set of a state (..., n) with all values of a cycle.
 
-    Returns the set of the states (..., g n) in the steps after, and the one to go on with.
+    Returns the set of the states (..., g n) in the steps after, the one to go on with, and the
+    duality gap (...) relative to the trace, which is about `accuracy`.
     """
     lifted, result = cycle.lifted, cycle.result
     n = kept.centre.shape[-1]
     values = np.where(cycle.fresh, cycle.values, np.nan)
     evidence = lifted_evidence(lifted, values, cycle.before, result.winner, result.limit)
-    after = conditioned_step(kept, told_only(evidence, result))
-    return after, image(after, np.eye(len(lifted.states))[-n:])
+    after, gap = conditioned(kept, told_only(evidence, result), accuracy=accuracy)
+    return after, image(after, np.eye(len(lifted.states))[-n:]), gap
 
 
-def augmented_cycle(
-    step: CycleStep, kept: Ellipsoid, cycle: ReceivedCycle
-) -> tuple[Ellipsoid, Ellipsoid]:
+def augmented_cycle(step: CycleStep, kept: Ellipsoid, cycle: ReceivedCycle) -> CycleCut:
     """The paper's estimator, exact or fast, on the augmented state; returns as `conditioned_cycle`.
 
     Lost values are NaN, and the losers of which the winner tells nothing have no weight.
@@ -76,11 +78,12 @@ def augmented_cycle(
     excess = np.where(result.told.any(-1), np.maximum(result.limit - of_winner, 0.0), 0.0)
     model = augment(lifted, winner, excess)._replace(weights=weights)
     rows = join_entries(cycle.fresh[..., :static], np.ones(contending, dtype=bool))
-    after = step(kept, model, np.where(rows, cycle.values, np.nan)).after
-    return image(after, np.eye(after.centre.shape[-1])[: len(lifted.states)]), after
+    found = step(kept, model, np.where(rows, cycle.values, np.nan))
+    states = np.eye(found.after.centre.shape[-1])[: len(lifted.states)]
+    return image(found.after, states), found.after, found.gap
 
 
-CutCycle = Callable[[Ellipsoid, ReceivedCycle], tuple[Ellipsoid, Ellipsoid]]
+CutCycle = Callable[[Ellipsoid, ReceivedCycle], CycleCut]
 
 
 class CycleSets(NamedTuple):
@@ -88,7 +91,8 @@ class CycleSets(NamedTuple):
 
     `now` is of the state at this step and `following` at the next, both by what is known so far.
     `kept` is the set at the beginning of the cycle, of the state or augmented. `values` and `fresh`
-    (..., m) have come in the cycle.
+    (..., m) have come in the cycle. `gap` (...) is the duality gap of `now` where the cycle is
+    over, and NaN elsewhere.
     """
 
     now: Ellipsoid
@@ -97,6 +101,7 @@ class CycleSets(NamedTuple):
     held: HeldValues
     values: np.ndarray
     fresh: np.ndarray
+    gap: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,7 @@ class CyclewiseReceiver:
             contending = held.values[..., self.static :]
             kept = augmented_prior(first, contending, self.static + 1, self.held_half_width)
         untaken = np.zeros(held.values.shape, dtype=bool)
-        return CycleSets(first, None, kept, held, held.values, untaken)
+        return CycleSets(first, None, kept, held, held.values, untaken, np.array(np.nan))
 
     def predict(self, state: CycleSets, control: np.ndarray | None, step: int) -> CycleSets:
         """Return the sets at `step`."""
@@ -143,7 +148,7 @@ class CyclewiseReceiver:
             # No slot was over since the last prediction.
             state = self.update(state, nothing(state.held), step - 1)
         assert state.following is not None, "an update says what follows"
-        return state._replace(now=state.following, following=None)
+        return state._replace(now=state.following, following=None, gap=np.array(np.nan))
 
     def update(self, state: CycleSets, received: Received, step: int) -> CycleSets:
         """Return the sets after the slot of a step."""
@@ -161,7 +166,7 @@ class CyclewiseReceiver:
             state.held.values[..., self.static :],
             self.measured.contention(step, state.held, received),
         )
-        states, kept = self.cut(state.kept, ended)
+        states, kept, gap = self.cut(state.kept, ended)
         n = len(self.measured.prior.mean)
         blocks = np.eye(states.centre.shape[-1]).reshape(self.static + 1, n, -1)
         return CycleSets(
@@ -172,6 +177,7 @@ class CyclewiseReceiver:
             after,
             after.values,
             np.zeros(state.fresh.shape, dtype=bool),
+            gap,
         )
 
     def belief(self, state: CycleSets) -> Gaussian:
@@ -180,6 +186,10 @@ class CyclewiseReceiver:
 
     def generators(self, state: CycleSets) -> None:
         """Return None: an ellipsoid has no generators."""
+
+    def gap(self, state: CycleSets) -> np.ndarray:
+        """Return the duality gap (...) of the set relative to its trace; NaN for none."""
+        return state.gap
 
     def _weights(self, step: int) -> np.ndarray:
         return self.measured.weights_of(np.arange(self.static, len(self.sizes)), step)

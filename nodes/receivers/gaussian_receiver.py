@@ -108,6 +108,10 @@ class GaussianReceiver:
     def generators(self, state: Any) -> None:
         """Return None: a Gaussian belief is no zonotope."""
 
+    def gap(self, state: Any) -> np.ndarray:
+        """Return NaN: no programme is solved."""
+        return np.array(np.nan)
+
 
 def on_fresh_rows(filter: Filter) -> MeasurementFilter:
     """A filter of the nodes behind a measurement bus: held rows are constants that it knows.

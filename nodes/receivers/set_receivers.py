@@ -128,14 +128,28 @@ def told_only(evidence: StepReadings, result: ContentionResult) -> StepReadings:
 
 
 class StepSets(NamedTuple):
-    """Sets between two events: of the state at this step, and at the next one by the same data."""
+    """Sets between two events: of the state at this step, and at the next one by the same data.
+
+    `gap` (...) is the duality gap of `now`, NaN where no programme was solved.
+    """
 
     now: Any
     following: Any
     held: HeldValues
+    gap: np.ndarray
 
 
-SetStep = Callable[[Any, StepReadings], Any]
+SetStep = Callable[[Any, StepReadings], tuple[Any, np.ndarray]]
+"""A step's work: the set after it, and its duality gap (...) relative to its trace."""
+
+
+def without_gap(step: Callable[[Any, StepReadings], Any]) -> SetStep:
+    """A step that solves no programme, as one whose gap is NaN."""
+
+    def cut(before: Any, evidence: StepReadings) -> tuple[Any, np.ndarray]:
+        return step(before, evidence), np.array(np.nan)
+
+    return cut
 
 
 class KeptShape(Protocol):
@@ -179,14 +193,14 @@ class StepwiseReceiver:
     def start(self, lanes: tuple[int, ...] = ()) -> StepSets:
         """Return the set that holds the state at step 0, one of each lane."""
         first = self.shape.containing(lanes_of(self.measured.prior, lanes))
-        return StepSets(first, first, first_held(self.measured, lanes))
+        return StepSets(first, first, first_held(self.measured, lanes), np.array(np.nan))
 
     def predict(self, state: StepSets, control: np.ndarray | None, step: int) -> StepSets:
         """Return the sets at `step`."""
         if state.following is None:
             # No slot was over since the last prediction.
             state = self.update(state, nothing(state.held), step - 1)
-        return state._replace(now=state.following, following=None)
+        return state._replace(now=state.following, following=None, gap=np.array(np.nan))
 
     def update(self, state: StepSets, received: Received, step: int) -> StepSets:
         """Return the sets after the slot of a step."""
@@ -196,11 +210,9 @@ class StepwiseReceiver:
         still = BoundedMotion(np.eye(n), np.zeros((n, *noise.shape[1:])))
         seen = self._seen(state.held, received, step)
         contenders = self.measured.contenders(step)
-        return StepSets(
-            self.step(now, seen(still)),
-            self.step(now, seen(BoundedMotion(system.transition(step), noise))),
-            state.held.after(received, contenders),
-        )
+        after, gap = self.step(now, seen(still))
+        following, _ = self.step(now, seen(BoundedMotion(system.transition(step), noise)))
+        return StepSets(after, following, state.held.after(received, contenders), gap)
 
     def belief(self, state: StepSets) -> Gaussian:
         """Return centre and shape matrix of an ellipsoid around the set."""
@@ -209,6 +221,10 @@ class StepwiseReceiver:
     def generators(self, state: StepSets) -> np.ndarray | None:
         """Return the generators (n, q) of a zonotope; None of an ellipsoid."""
         return self.shape.generators_of(state.now)
+
+    def gap(self, state: StepSets) -> np.ndarray:
+        """Return the duality gap (...) of the set relative to its trace; NaN for none."""
+        return state.gap
 
     def _seen(
         self, held: HeldValues, received: Received, step: int

@@ -54,6 +54,10 @@ class Receiver(Protocol):
         """Return the generators (n, q) of a zonotope; None of another belief."""
         ...
 
+    def gap(self, state: Any) -> np.ndarray:
+        """Return the duality gap (...) of a set relative to its trace; NaN where there is none."""
+        ...
+
 
 class SensorContent(NamedTuple):
     """A sensor between two events: its reading (m_j,), what it takes the receiver to hold of it,
@@ -216,6 +220,11 @@ class ReceiverNode:
     def generators(self, content: ReceiverContent) -> np.ndarray | None:
         """Return the generators (n, q) of a zonotope; None of another belief."""
         return self.receiver.generators(content.state)
+
+    def gap(self, content: ReceiverContent) -> float | None:
+        """Return the duality gap of a set relative to its trace; None where there is none."""
+        found = float(self.receiver.gap(content.state))
+        return None if np.isnan(found) else found
 
     def ages(self, content: ReceiverContent) -> np.ndarray:
         """Slots since each sensor was heard; -1 never."""

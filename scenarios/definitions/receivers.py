@@ -13,18 +13,19 @@ from concord.filters.sets.closed_form import closed_form_step
 from concord.filters.sets.constrained_zonotope import constrained_step
 from concord.filters.sets.lifted_cycle import LinearBoundedSystem
 from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.tight_estimator import conditioned_step
+from concord.filters.sets.tight_estimator import conditioned
 from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.filters.sigma_points import SigmaPointRule
 from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter
 from concord.nodes.receivers.constrained_sets import ConstrainedZonotopes
 from concord.nodes.receivers.cyclewise_receiver import (
+    CutCycle,
     CyclewiseReceiver,
     augmented_cycle,
     conditioned_cycle,
 )
 from concord.nodes.receivers.gaussian_receiver import GaussianReceiver, System, on_fresh_rows
-from concord.nodes.receivers.set_receivers import MeasuredSets, StepwiseReceiver
+from concord.nodes.receivers.set_receivers import MeasuredSets, StepwiseReceiver, without_gap
 from concord.nodes.rules.measurement_bus import Receiver
 from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from concord.scenarios.filters import build_filter
@@ -34,6 +35,7 @@ from concord.scenarios.types.filters import (
     ConstrainedReceiver,
     EllipsoidReceiver,
     FilterBase,
+    InteractingMultipleModels,
     NoiseLearningFilter,
     PrintedFilter,
     RecommendedFilter,
@@ -72,11 +74,13 @@ class ReceiverParts(NamedTuple):
     losing_bids: LosingBids | None
 
 
-_CYCLEWISE: dict[str, tuple[Callable[..., Any], bool]] = {
-    "tight": (conditioned_cycle, False),
-    "paper": (partial(augmented_cycle, optimal_step), True),
-    "fast": (partial(augmented_cycle, closed_form_step), True),
-}
+def _cyclewise(choice: EllipsoidReceiver) -> tuple[CutCycle, bool]:
+    """How an ellipsoid is cut, and whether its state is augmented by held values."""
+    if choice.method == "tight":
+        return partial(conditioned_cycle, choice.accuracy), False
+    paper = partial(optimal_step, accuracy=choice.accuracy)
+    step = paper if choice.method == "paper" else closed_form_step
+    return partial(augmented_cycle, step), True
 
 
 # Filters as printed live with their paper; no folder but the papers' own imports them.
@@ -115,8 +119,9 @@ def _measured(choice: SetFilter, parts: ReceiverParts) -> MeasuredSets:
 def _ellipsoid(choice: EllipsoidReceiver, parts: ReceiverParts) -> Receiver:
     measured = _measured(choice, parts)
     if choice.method == "fast-rate" or parts.static is None:
-        return StepwiseReceiver(measured, Ellipsoids(len(parts.prior.mean)), conditioned_step)
-    cut, is_augmented = _CYCLEWISE[choice.method]
+        step = partial(conditioned, accuracy=choice.accuracy)
+        return StepwiseReceiver(measured, Ellipsoids(len(parts.prior.mean)), step)
+    cut, is_augmented = _cyclewise(choice)
     width = parts.held_half_width if is_augmented else None
     return CyclewiseReceiver(measured, parts.static, cut, width)
 
@@ -124,13 +129,13 @@ def _ellipsoid(choice: EllipsoidReceiver, parts: ReceiverParts) -> Receiver:
 def _zonotope(choice: ZonotopeReceiver, parts: ReceiverParts) -> Receiver:
     shape = Zonotopes(len(parts.prior.mean), generators=choice.generators)
     step = partial(zonotope_step, generators=choice.generators)
-    return StepwiseReceiver(_measured(choice, parts), shape, step)
+    return StepwiseReceiver(_measured(choice, parts), shape, without_gap(step))
 
 
 def _constrained(choice: ConstrainedReceiver, parts: ReceiverParts) -> Receiver:
     shape = ConstrainedZonotopes(len(parts.prior.mean))
     step = partial(constrained_step, generators=choice.generators, constraints=choice.constraints)
-    return StepwiseReceiver(_measured(choice, parts), shape, step)
+    return StepwiseReceiver(_measured(choice, parts), shape, without_gap(step))
 
 
 _RECEIVERS: dict[type[FilterBase], Callable[[Any, ReceiverParts], Receiver]] = {
@@ -165,6 +170,11 @@ def check_receiver(scenario: Scenario, is_bounded: bool) -> None:
             f"--filter {choice.name}: it learns the noise of a node's own sensors, and the "
             "receiver of a measurement bus has none; use ukf or recommended"
         )
+    if isinstance(choice, InteractingMultipleModels):
+        raise ValueError(
+            f"--filter {choice.name}: its models are a straight course and a turn, and the "
+            "receiver of a measurement bus has the one of its plant; use ukf or recommended"
+        )
     if not isinstance(choice, SetFilter):
         return
     assert isinstance(rule, Reception), "the caller has looked"
@@ -177,6 +187,9 @@ def check_receiver(scenario: Scenario, is_bounded: bool) -> None:
     why = "a set takes what was received for exact"
     require(rule.number == "float64", "number", rule.number, f"float64: {why}")
     require(rule.hold.name == "zero-order", "hold", rule.hold.name, "zero-order: sets hold values")
+    if isinstance(choice, EllipsoidReceiver) and choice.method == "fast":
+        usual = choice.accuracy == EllipsoidReceiver().accuracy
+        require(usual, "accuracy", choice.accuracy, "left out with --method fast, a closed form")
     if isinstance(choice, EllipsoidReceiver) and choice.method != "fast-rate":
         needed = f"flexray: --method {choice.method} works by communication cycles; use fast-rate"
         schedule = scenario.bus.schedule

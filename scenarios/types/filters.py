@@ -3,6 +3,7 @@
 from typing import Annotated, Literal, get_args
 
 from concord.filters.filter import Filter
+from concord.filters.sets.multipliers import ACCURACY
 from concord.scenarios.types.option import USER, Choice, Option, name_of
 from concord.scenarios.user.values import FromFile, is_source_name, kept_source, source_of
 
@@ -152,6 +153,11 @@ class EllipsoidReceiver(SetFilter, frozen=True, kw_only=True, tag="ellipsoid"):
                "every step), paper (Liu et al. 2021, by a semidefinite programme), fast (its "
                "closed form)."),
     ] = "tight"  # fmt: skip
+    accuracy: Annotated[
+        float,
+        Option("Duality gap, relative to the trace, at which the search for an ellipsoid ends; a "
+               "larger one is faster, and the set as certain.", above=0, at_most=1),
+    ] = ACCURACY  # fmt: skip
 
 
 class ZonotopeReceiver(SetFilter, frozen=True, kw_only=True, tag="zonotope"):

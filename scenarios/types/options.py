@@ -102,6 +102,7 @@ class ScenarioOptions(TypedDict, total=False):
     innovations: int
     losers: bool
     method: METHOD
+    accuracy: float
     generators: int
     constraints: int
     steps: int
@@ -182,6 +183,7 @@ class SweptOptions(TypedDict, total=False):
     innovations: Sequence[int] | np.ndarray | int
     losers: Sequence[bool] | np.ndarray | bool
     method: Sequence[METHOD] | np.ndarray | METHOD
+    accuracy: Sequence[float] | np.ndarray | float
     generators: Sequence[int] | np.ndarray | int
     constraints: Sequence[int] | np.ndarray | int
     steps: Sequence[int] | np.ndarray | int

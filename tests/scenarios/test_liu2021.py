@@ -109,6 +109,26 @@ def _trusting(held: HeldValues, received: Received, contenders: np.ndarray) -> H
     return HeldValues(np.where(received.fresh, received.values, held.values), held.known)
 
 
+def test_the_accuracy_of_a_set_is_an_option_and_its_gap_is_in_the_results():
+    def gaps(method: str, accuracy: float) -> np.ndarray:
+        found = run(star(steps=9, filter="ellipsoid", method=method, accuracy=accuracy)).duality_gap
+        assert found is not None and np.isnan(found[:, 1:]).all()
+        return found[:, 0]
+
+    for method, every in (("tight", 3), ("paper", 3), ("fast-rate", 1)):
+        rough, fine = gaps(method, 0.1), gaps(method, 1e-4)
+        assert np.array_equal(~np.isnan(rough), np.arange(9) % every == every - 1)
+        assert np.nanmax(fine) <= 1.5e-4 and np.nanmin(rough) > np.nanmax(fine), method
+        assert np.nanmax(rough) <= 0.15
+    assert run(star(steps=9, method="fast")).duality_gap is None
+
+
+def test_the_gap_of_a_narrow_set_tells_how_near_the_least_it_is():
+    """The last of these sets is 1e-3 wide; rounding at the end of the path left a gap of 1."""
+    gap = run(star(steps=39, method="tight")).duality_gap
+    assert gap is not None and np.nanmax(gap) <= 1e-2
+
+
 def test_losers_make_the_sets_smaller():
     told, untold = run(star(method="fast-rate")), run(star(method="fast-rate", losers=False))
     sizes = [np.trace(one.cov[1:, 0], axis1=-2, axis2=-1).mean() for one in (told, untold)]
@@ -143,6 +163,11 @@ def test_the_summary_counts_the_sets_of_the_receiver_alone():
         ({"schedule": "dynamic"}, "--method tight works by communication cycles"),
         ({"changes": ("3 kill 4",)}, "--changes 3 kill: .*add --no-losers"),
         ({"nodes": 6}, "--nodes 6: must be 5"),
+        (
+            {"method": "fast", "accuracy": 0.1},
+            "--accuracy 0.1: must be left out with --method fast",
+        ),
+        ({"filter": "imm"}, "--filter imm: its models are a straight course and a turn"),
         ({"filter": "aukf"}, "--filter aukf: it learns the noise of a node's own sensors"),
     ],
 )
