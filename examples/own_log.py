@@ -201,6 +201,8 @@ WRITERS = {"nc": write_netcdf, "mcap": write_mcap, "ulg": write_ulog}
 def main() -> None:
     """Write the log, then let the command judge a run on it."""
     kind = sys.argv[1] if len(sys.argv) > 1 else "nc"
+    if kind not in WRITERS:
+        sys.exit(f"{kind}: no such kind of log; choose {', '.join(WRITERS)}")
     folder = Path(sys.argv[2] if len(sys.argv) > 2 else f"runs/own_log_{kind}")
     folder.mkdir(parents=True)
     (folder / "columns.toml").write_text(WRITERS[kind](folder, signals()))
