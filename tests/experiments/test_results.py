@@ -73,13 +73,14 @@ def test_every_documented_variable_is_there(dataset):
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     named = {name.strip(" `") for row in rows for name in row.split(",")}
     assert {"truth", "mean", "cov", "ages"} <= named
-    # The plant is no car and not controlled, the rule has no records, and lockstep has no late
-    # estimates.
+    # The plant is no car and not controlled, the rule has no records and solves no programme, and
+    # lockstep has no late estimates.
     elsewhere = {
         "control",
         "outside_model",
         "record_age",
         "estimate_age",
+        "duality_gap",
         "suspect",
         "smoothed_mean",
         "smoothed_std",
