@@ -78,6 +78,10 @@ class CarFit(NamedTuple):
     claim: SlipClaim | None
 
 
+_UNTOLD = (0.0, np.inf, np.inf)
+"""Spread and deviations of a parameter that the log does not tell."""
+
+
 def fit(
     channels: Mapping[str, ChannelReadings],
     car: Car,
@@ -130,11 +134,10 @@ def fit(
         one.path: (moved, *both)
         for one, moved, *both in zip(tried, spreads, *deviations, strict=True)
     }
-    nothing = (0.0, np.inf, np.inf)
     found = tuple(
-        _found(one, value_at(car, one.path), *told_of.get(one.path, nothing)) for one in every
+        _found(one, value_at(car, one.path), *told_of.get(one.path, _UNTOLD)) for one in every
     )
-    moved = np.array([told_of.get(one.path, nothing)[0] for one in every])
+    moved = np.array([told_of.get(one.path, _UNTOLD)[0] for one in every])
     after, claim = car_with(car, every, moved), None
     if "side_slip" in log.sensors:
         claim = _claim(log, heard, car_with(heard.car, tried, spreads), tyre)

@@ -22,7 +22,7 @@ _UNHEARD_RAD = 10.0
 
 
 class SlipClaim(NamedTuple):
-    """What the side slip of a log says of the claim of a filter that does not hear it.
+    """Judgement of the side slip of a log on the claim of a filter that does not hear it.
 
     Attributes:
         anees: of the side slip, with the process noise that the fit found.

@@ -113,7 +113,7 @@ def _smooth(values: np.ndarray, time_step_s: float) -> np.ndarray:
 
 
 def _drift(readings: ChannelReadings) -> float:
-    """What a second adds to the integral of a channel's noise, told by its third differences."""
+    """Return the growth of the integrated noise of a channel in a second, by third differences."""
     noise = np.sqrt(np.mean(np.square(np.diff(readings.values, 3))) / 20)
     return float(noise * np.sqrt(readings.spacing_s))
 

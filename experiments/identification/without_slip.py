@@ -1,4 +1,4 @@
-"""What the fit hears of a drive without logged side slip, and what it leaves as the file has it."""
+"""A drive without logged side slip: the channels that the fit hears, and the values it leaves."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
