@@ -37,7 +37,7 @@ from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.nodes.bids import BIDS_FOR_CHANGE
 from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.scenario import Scenario, lossy_links
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import (
     ALL_CHANNELS,
     CanFd,
@@ -56,9 +56,8 @@ from concord.scenarios.user.arbiter import arbiter_named
 from concord.scenarios.user.bus import user_bus
 from concord.topology.names import unknown_name
 
-# Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a
-# turn of all, slots would go by age and not by need. Two classes leave one for all needs, so that
-# only age tells nodes apart.
+# Nodes that pass records on ask in most cycles. If each were old after a turn of all, slots would go
+# by age and not by need. Two classes leave one for all needs, so that only age tells nodes apart.
 _TURNS_BEFORE_OLD, _LEAST_CLASSES_BY_NEED = 12, 3
 FITTED = "fitted"
 # The same with every frame on both channels.
@@ -277,7 +276,7 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     old_after = len(contenders)
     if isinstance(scenario.rule, FloodingRule):
         least, most = bids_for_records(scenario.nodes)
-        if lossy_links(scenario) and count >= _LEAST_CLASSES_BY_NEED:
+        if count >= _LEAST_CLASSES_BY_NEED:
             old_after *= _TURNS_BEFORE_OLD
     return UrgencyClasses(count, least, most, old_after)
 

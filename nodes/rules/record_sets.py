@@ -19,9 +19,10 @@ SILENCE = 4096
 
 
 def bids_for_records(nodes: int) -> tuple[int, int]:
-    """Return the bids between which urgency is told apart: from one new record that one neighbour
-    lacks to three of every node."""
-    return URGENCY * SILENCE, 3 * nodes * URGENCY * SILENCE
+    """Return the bids between which urgency is told apart: the winners of networks of several
+    shapes bid for 0.15 to 2 new records of every node that one neighbour lacks."""
+    of_every_node = nodes * URGENCY * SILENCE
+    return 3 * of_every_node // 20, 2 * of_every_node
 
 
 def urgencies(window_steps: int) -> np.ndarray:
