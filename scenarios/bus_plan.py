@@ -56,8 +56,8 @@ from concord.scenarios.user.arbiter import arbiter_named
 from concord.scenarios.user.bus import user_bus
 from concord.topology.names import unknown_name
 
-# Nodes that pass records on ask in most cycles. If each were old after a turn of all, slots would go
-# by age and not by need. Two classes leave one for all needs, so that only age tells nodes apart.
+# Nodes that pass records on ask in most cycles. If each were old after a turn of all, slots would
+# go by age and not by need. Two classes leave one for all needs: there only age tells nodes apart.
 _TURNS_BEFORE_OLD, _LEAST_CLASSES_BY_NEED = 12, 3
 FITTED = "fitted"
 # The same with every frame on both channels.
