@@ -15,6 +15,7 @@ from rich.table import Table
 from concord.experiments.identification.fit import CarFit, FoundParameter, fit
 from concord.experiments.identification.slip_reference import slip_reference
 from concord.experiments.identification.sought import value_at
+from concord.experiments.identification.without_slip import tells_slip
 from concord.experiments.places import make_folder
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.user_errors import user_errors
@@ -164,15 +165,16 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
 
 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
+    reference = slip_reference(given.channels, tyres, _TYRES[options.tyre])
     return fit(
         given.channels,
-        tyres.car,
+        tyres.car if tells_slip(given.channels, reference) else given.car,
         _TYRES[options.tyre],
         friction=options.friction,
         ratio=options.data is not None and not logs_road_wheels(options.data),
         time_step_s=TIME_STEP_S,
         min_speed_m_s=options.min_speed,
-        reference=slip_reference(given.channels, tyres, _TYRES[options.tyre]),
+        reference=reference,
         on_step=lambda: _say("."),
     )
 

@@ -1,7 +1,7 @@
 """A drive without logged side slip: the channels that the fit hears, and the values it leaves."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,10 +14,17 @@ from concord.plants.vehicle.parameters import Car, SensorSheet
 _ARM = ("sensors", "accelerometer_ahead_m")
 _HIDDEN = (
     _ARM,
+    ("front_stiffness_n_rad",),
+    ("rear_stiffness_n_rad",),
+    ("friction",),
+    ("yaw_inertia_kg_m2",),
     ("sensors", "lateral_acceleration", "noise"),
     ("process_noise", "side_slip_rad"),
+    ("process_noise", "yaw_rate_rad_s"),
 )
-"""Without a reference the fit trades errors of the tyres for side slip here, at a NIS of 1."""
+"""Without a reference nothing tells the tyres from side slip: these would take each other's errors,
+at a NIS of 1."""
+_TELLING = ("side_slip", "course")
 _LATE = ("sensors", "lateral_acceleration", "delay_s")
 _SLIP_LATE = ("sensors", "side_slip", "delay_s")
 
@@ -34,14 +41,24 @@ class Heard(NamedTuple):
     reference_rad: float | None = None
 
 
+def tells_slip(channels: Mapping[str, ChannelReadings], reference: SlipReference | None) -> bool:
+    """Whether a channel of the log, or the reference, tells the side slip."""
+    logged = any(name in channels and len(channels[name].values) for name in _TELLING)
+    return logged or _is_told(reference)
+
+
+def _is_told(reference: SlipReference | None) -> TypeGuard[SlipReference]:
+    return reference is not None and reference.told <= SEEN
+
+
 def as_heard(heard: Heard, reference: SlipReference | None) -> Heard:
     """Return the same with the reference where no side slip is logged, and what it lets seek."""
     channels = heard.channels
     if "side_slip" in channels and len(channels["side_slip"].values):
         return heard
-    if reference is not None and reference.told <= SEEN:
+    if _is_told(reference):
         return _with_reference(heard, reference)
-    if "course" in channels and len(channels["course"].values):
+    if tells_slip(channels, None):
         return heard
     sought = tuple(one for one in heard.sought if one.path not in _HIDDEN)
     return heard._replace(sought=sought)
