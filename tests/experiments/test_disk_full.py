@@ -109,7 +109,7 @@ def test_a_sweep_on_a_full_disk_keeps_its_finished_pieces(small_disk: Path):
 def few_bytes() -> Iterator[int]:
     """No file of this process may be longer than this, as under a quota."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    limit = 24_000
+    limit = 26_000
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
     try:
         yield limit

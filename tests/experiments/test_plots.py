@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray
@@ -117,19 +118,8 @@ def test_many_runs_have_pictures_and_the_page_of_what_was_printed(
 @pytest.mark.filterwarnings("error")
 def test_steps_without_truth_are_not_in_the_pictures_of_errors(tmp_path: Path):
     """A log has its truth at some steps, or at none."""
-    main(
-        [
-            "run",
-            "--scenario",
-            "oscillator",
-            "--nodes",
-            "3",
-            "--steps",
-            "22",
-            "--out",
-            str(tmp_path / "run"),
-        ]
-    )
+    asked = "run --scenario oscillator --nodes 3 --steps 22 --out"
+    main([*asked.split(), str(tmp_path / "run")])
     for unknown, drawn in ((slice(1, None, 2), [11, 11]), (slice(None), [])):
         with xarray.load_dataset(tmp_path / "run" / "run.nc") as data:
             for name in ("truth", "nees"):
@@ -143,6 +133,8 @@ def test_steps_without_truth_are_not_in_the_pictures_of_errors(tmp_path: Path):
         ]
         shown = [np.asarray(figure.axes[0].lines[0].get_ydata()) for figure in of_errors]
         assert [len(values) for values in shown] == drawn
+        for figure in figures.values():
+            plt.close(figure)
 
 
 def test_pictures_of_many_runs_are_of_all_of_them(tmp_path: Path):
