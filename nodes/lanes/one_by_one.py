@@ -57,3 +57,7 @@ class OneByOne:
 
     def generators(self, state: tuple[Any, ...]) -> None:
         """Return None: arrays of runs have no place for generators."""
+
+    def gap(self, state: tuple[Any, ...]) -> np.ndarray:
+        """Return the duality gaps (R,) of the sets relative to their traces; NaN for none."""
+        return np.array([self.receiver.gap(one) for one in state])
