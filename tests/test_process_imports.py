@@ -4,7 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
+
+from tests.dashboard.browser_page import recorded
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"scipy", "networkx", "xarray", "viser", "matplotlib", "h5py", "h5netcdf", "rich", "tyro"}
@@ -64,3 +67,22 @@ def test_a_node_process_stays_light(name: str):
 
 def test_the_measure_of_loading_sees_what_is_loaded():
     assert "networkx" in loaded("import concord.topology.graphs")
+
+
+# A page on a recording that draws every panel, without a browser.
+PAGE_WORK = """
+from pathlib import Path
+from concord.dashboard.serve import open_recording
+setup = msgspec.json.decode({setup!r}, type=Setup)
+page = open_recording(setup, Path({file!r}), "127.0.0.1", 0, light=False)
+for clock_s in range(1, 9):
+    page.tick(float(clock_s))
+assert page.page.charts.drawn[0].times.size > 1 and not page.failures.sentences()
+page.close()
+"""
+
+
+def test_a_page_draws_its_charts_without_scipy_which_loads_slowly(tmp_path: Path):
+    setup, file = recorded(tmp_path, nodes=4, steps=6)
+    work = PAGE_WORK.format(setup=msgspec.json.encode(setup), file=str(file))
+    assert not loaded("", work) & {"scipy", "xarray", "matplotlib"}

@@ -4,6 +4,7 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.panels.chart import Chart, Line, Sample, of_frames
+from concord.nodes.rules.self_check import chi_square_bound
 
 _TAILS = (0.025, 0.975)
 
@@ -35,10 +36,11 @@ def _of_selected(sample: Sample) -> np.ndarray:
 
 
 def _bound(sample: Sample, tail: float) -> np.ndarray:
-    """The quantile of NIS of all readings of a step, if they are independent."""
-    # Only here: scipy takes longer to load than a page may wait for its first picture.
-    from scipy.special import chdtri
+    """The quantile of NIS of all readings of a step, if they are independent.
 
+    In closed form, as scipy takes a quarter of a second to load: off by at most 0.012 from three
+    degrees of freedom on.
+    """
     freedoms = np.array(
         [
             0 if frame.scores.nis is None else frame.scores.nis.freedoms.sum()
@@ -46,4 +48,5 @@ def _bound(sample: Sample, tail: float) -> np.ndarray:
         ]
     )
     counts = np.maximum(freedoms, 1)
-    return np.where(freedoms > 0, chdtri(counts, 1 - tail) / counts, np.nan)
+    bound = np.maximum(0.0, chi_square_bound(counts, 1 - tail)) / counts
+    return np.where(freedoms > 0, bound, np.nan)

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.expected import nothing_expected
+from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.panels.chart import Sample
 from concord.dashboard.panels.nis_chart import nis_chart
 from concord.dashboard.view import View
@@ -59,3 +61,15 @@ def test_a_step_that_was_left_out_has_no_nis_after_it():
     assert told is not None and not told.freedoms.any() and np.isnan(told.of(0))
     after = nis[7]
     assert after is not None and after.freedoms.sum() == 3
+
+
+@pytest.mark.parametrize(("line", "tail"), [(2, 0.025), (3, 0.975)])
+def test_the_bounds_are_those_of_chi_square(line: int, tail: float):
+    stage, messages = run_of("oscillator", nodes=4, steps=3)
+    frame = frames_of(stage, messages)[-1]
+    for freedom in (3, 4, 9, 48, 400):
+        told = StepNis(np.zeros(4), np.array([freedom, 0, 0, 0]))
+        shown = frame._replace(scores=frame.scores._replace(nis=told))
+        sample = Sample(stage, View(), [shown], np.zeros(1), nothing_expected(np.zeros(1)))
+        (bound,) = nis_chart().lines[line].column(sample)
+        assert abs(bound - chdtri(freedom, 1 - tail) / freedom) < 0.012
