@@ -210,6 +210,9 @@ def _age(attempt: Attempt) -> list[str]:
     if attempt.age is None:
         return []
     bound, observed = attempt.age
-    return [
-        f"age of information: at most {bound} steps by schedule and graph; observed: {observed}"
-    ]
+    limit = (
+        "schedule and graph do not bound it"
+        if bound is None
+        else f"at most {bound} steps by schedule and graph"
+    )
+    return [f"age of information: {limit}; observed: at most {observed} steps"]
