@@ -235,11 +235,14 @@ def _told(run: Run) -> Account:
 
     A node that joins is welcomed with the state of the network. Of a death all hear on a topic of
     its own, and by the heartbeats after it. Of a node that dies in the step of its return they need
-    not hear that it is back.
+    not hear that it is back. Where it returns again before that step, they hear of one return.
     """
     happened: dict[int, list[dict[str, Any]]] = {}
     for step, change in run.evidence.events:
-        happened.setdefault(step, []).append(change)
+        before = happened.get(step, [])
+        if change["what"] == "joined":
+            before = [one for one in before if not _is_return_of(change["node"], one)]
+        happened[step] = [*before, change]
     broken = []
     for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
         joins = run.membership.joins_at(node, step)
@@ -247,6 +250,10 @@ def _told(run: Run) -> Account:
         if not joins and heard != real:
             broken.append(f"step {step}: node {node}")
     return _account(len(run.evidence.heartbeats), broken)
+
+
+def _is_return_of(node: int, change: dict[str, Any]) -> bool:
+    return change["what"] == "joined" and change["node"] == node
 
 
 def _lasting(run: Run, step: int, changes: list[dict[str, Any]]) -> list[dict[str, Any]]:

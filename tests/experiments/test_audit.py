@@ -238,6 +238,16 @@ def test_a_return_that_ends_in_its_step_may_be_told_or_not(tmp_path: Path, is_to
     assert "all members hear of the same changes" not in broken(write(tmp_path, recorded, recorded))
 
 
+def test_a_node_that_returns_twice_before_a_step_is_told_of_once(tmp_path: Path):
+    """In real time it may hang again, and come back again, before the step of its return begins."""
+    step, gone = 6, {"what": "gone", "node": 2}
+    number = place("event", step=step)
+    end = {"step": step - 1, "change": gone}
+    ended = [("gone", json.dumps(gone).encode()), ("event", json.dumps(end).encode())]
+    recorded = [*MESSAGES[: number + 1], *ended, *MESSAGES[number:]]
+    assert "all members hear of the same changes" not in broken(write(tmp_path, recorded))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
