@@ -39,4 +39,3 @@ def test_losses_are_seen_in_records_alone():
     assert late is not None
     assert late.observed_steps > sound.observed_steps
     assert information_age(oscillator(rule="ci", **lossy)) is None
-
