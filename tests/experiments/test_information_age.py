@@ -1,5 +1,7 @@
 """The ages that `concord design` prints: two ways to count them, and their bound."""
 
+from typing import Any
+
 import pytest
 
 from concord.experiments.design.information_age import information_age
@@ -9,7 +11,7 @@ from concord.scenarios.scenario import Scenario
 pytestmark = pytest.mark.slow
 
 
-def oscillator(**options: object) -> Scenario:
+def oscillator(**options: Any) -> Scenario:
     return definition_named("oscillator").defaults.with_(nodes=6, steps=30, **options)
 
 
