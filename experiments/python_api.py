@@ -225,6 +225,16 @@ def design(
 ) -> Design:
     """The cheapest network that meets an error target; its `recommended` is None if none does.
 
+    Args:
+        target_rmse: "1.5x-centralised", "2x-bound", or a number in the scenario's unit.
+        scenario: a scenario, or names of some.
+        minimise: bytes or microseconds of the bus per step, nodes per cycle, or energy per step.
+        latency_ms: longest delay from a measurement to the end of the last share of its step.
+        load: greatest fraction of a cycle in which the bus carries frames.
+        runs: fresh runs that confirm the recommended network.
+        workers: processes; with more than one, a script needs `if __name__ == "__main__":`.
+        options: one value is settled, of several in a list the search takes the best.
+
     Raises:
         ValueError: a target that is none, or no candidate that can run.
     """

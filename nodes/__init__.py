@@ -1,1 +1,1 @@
-"""One node of the network and what drives it; imports filters and bus."""
+"""The state machines of node and environment, and the fusion rules; imports filters and bus."""

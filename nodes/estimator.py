@@ -22,7 +22,7 @@ class Estimator(Protocol[Content, Share]):
 
     @property
     def share_bytes(self) -> int:
-        """Length of what `compose` returns: fixed, so that a bus can reserve slots for it."""
+        """Length of the longest share that `compose` returns, for which a bus reserves slots."""
         ...
 
     def start(self) -> Content:

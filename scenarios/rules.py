@@ -73,7 +73,7 @@ class Rule(NamedTuple):
     """A fusion rule of the network.
 
     Attributes:
-        share: what its shares are; None for shares of any length up to `scenario.payload_bytes`.
+        share: what its shares are; None for shares of any length up to the payload of a frame.
         estimator: builds that of one node.
         batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.

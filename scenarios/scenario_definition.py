@@ -21,8 +21,8 @@ from concord.scenarios.setup import Setup
 
 
 class ScenarioPlant(Protocol):
-    """A plant as a scenario needs it; `concord.nodes.environment.Plant` is the environment's
-    part."""
+    """A plant as a scenario needs it; `concord.nodes.environment_state.Plant` is the part of the
+    environment."""
 
     @property
     def time_step_s(self) -> float: ...

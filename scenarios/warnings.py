@@ -95,7 +95,8 @@ def _idle_filter(setup: Setup) -> Iterator[str]:
 
 
 def _diverging_average(setup: Setup) -> Iterator[str]:
-    """wac on an unstable plant: the spectral condition of `fusion.weighted_average`.
+    """wac on an unstable plant: the spectral condition of
+    `concord.filters.fusion.averaging.weighted_average`.
 
     It is about weights that stay. With determinant weights a node loses its vote as its covariance
     grows, and the average stays bounded.

@@ -1,1 +1,1 @@
-"""FlexRay: cluster, schedule, arbitration, frames and timing."""
+"""FlexRay: clusters, slots, frames, clocks and times."""

@@ -107,7 +107,7 @@ class RouterOptions:
 
 
 def router(options: Annotated[RouterOptions, tyro.conf.arg(name="")]) -> None:
-    """Pass on what the processes of a network say, on one of its hosts."""
+    """Pass on the messages of a network's processes, on one of its hosts."""
     # A call for help need not load zenoh.
     from concord.runtime.network.zenoh_transport import LinkError, start_router
 

@@ -21,7 +21,7 @@ class KeysOptions:
     """Whom to make keys for."""
 
     folder: tyro.conf.Positional[Path]
-    """A new folder for the keys."""
+    """A new folder for the keys; with --check, the folder of the keys to be tried."""
     nodes: int | None = None
     """Number of sensor nodes."""
     hosts: tuple[str, ...] = ()

@@ -32,7 +32,7 @@ class ListOptions:
 
 
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
-    """List scenarios, graphs, weights, rules, filters, schedules, hold policies and faults."""
+    """List scenarios, rules, filters, faults, and names that options of network and bus take."""
     names = {
         "graphs": list(GRAPHS),
         "weights": list(WEIGHTS),

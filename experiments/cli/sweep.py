@@ -130,7 +130,7 @@ class MergeOptions:
 
 
 def merge(options: Annotated[MergeOptions, tyro.conf.arg(name="")]) -> None:
-    """Make the result of a sweep of which shards have computed the pieces."""
+    """Make the result of a sweep from the folders of its shards."""
     with user_errors():
         if not options.pieces:
             raise ValueError("merge: name the folders of pieces that `concord sweep --shard` made")

@@ -80,7 +80,14 @@ def compare(
     wide.print(_comparison(rows))
 
 
-def generate(source: Source, /, *, options: Options, out: Path, json: bool = False) -> None:
+def generate(
+    source: Source,
+    /,
+    *,
+    options: Options,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    json: bool = False,
+) -> None:
     """Write a graph file: the suffix decides, .graphml, .edges or .csv.
 
     Args:

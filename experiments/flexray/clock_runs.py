@@ -81,8 +81,8 @@ def clocks(
     """Start a cluster from cold, and run it with clocks that deviate.
 
     Args:
-        cluster: A preset, a TOML file or a FIBEX (.xml) file.
-        name: Which cluster of a FIBEX file that has several.
+        cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        name: Which cluster of a FIBEX or AUTOSAR file that has several.
         nodes: Number of nodes. The first ones send sync frames.
         drift: Deviation of the clocks in millionths. One number is a limit: each clock is drawn
             between minus and plus it. Several numbers (100,-20,...) are the clocks of the nodes.

@@ -3,7 +3,7 @@
 The estimate is a value that travels with the belief. Only the measurement noise is adapted here,
 in residual form: the part of the reading that the posterior does not explain, plus the posterior's
 own spread, is positive however it is rounded. (Process noise adapted at the same time cannot be
-told apart from it; `sage_husa_literal` does so because a paper does.)
+told apart from it; `concord.papers.adlukf.sage_husa_as_printed` does so because a paper does.)
 
 Sources: Sage and Husa (1969), Adaptive filtering with unknown prior statistics (the fading
 average); Mohamed and Schwarz (1999), Adaptive Kalman filtering for INS/GPS, equation 18 (the

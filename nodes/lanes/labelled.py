@@ -1,8 +1,8 @@
 """The rule `labelled` in arrays: `concord.nodes.rules.labelled` at all nodes of all runs at once.
 
 Both choose their records and filter their windows by the same functions
-(`concord.nodes.rules.record_choice`, `concord.nodes.rules.window_filter`). No record is late here,
-so windows have the same steps everywhere, and all copies of a record are alike.
+(`concord.nodes.rules.record_choice`, `concord.nodes.rules.window_filter`). All nodes begin at the
+same step here, so windows have the same steps everywhere, and all copies of a record are alike.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""Tracks of several targets at the nodes of a network, from detections that are flooded."""
+"""Tracks of several targets at the nodes, from detections that are flooded or shared tracks."""

@@ -1,4 +1,4 @@
-"""The random streams of many runs at once; each is that of `concord.scenarios.setup.generator`.
+"""The random streams of many runs at once; each is that of `concord.scenarios.streams.generator`.
 
 To seed a stream takes four times as long as to draw two hundred numbers from it. The node, the last
 word of a stream's key, is therefore mixed in for all nodes of all runs at once, by the arithmetic

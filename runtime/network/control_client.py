@@ -67,8 +67,8 @@ class Client:
         raise self._nobody()
 
     def state(self) -> dict:
-        """How the network stands (`concord.runtime.processes.environment.process.State` as plain
-        data).
+        """Return the state of the network: the fields of
+        `concord.runtime.processes.environment.notices.NetworkState` as plain data.
 
         Raises:
             NotThere: nobody answers.

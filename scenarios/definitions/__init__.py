@@ -1,1 +1,1 @@
-"""One file for each scenario."""
+"""The scenario definitions, and the parts that several of them share."""

@@ -17,8 +17,10 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                "file:PATH, FILE.py:NAME, ..."),
     ]  # fmt: skip
     weights: Annotated[
-        str, Option("Consensus weights: metropolis, maximum-degree, best-constant.")
-    ] = "metropolis"
+        str,
+        Option("Consensus weights: metropolis, maximum-degree, best-constant, fastest-mixing; "
+               "equal-neighbour for links that go one way."),
+    ] = "metropolis"  # fmt: skip
     links: Annotated[
         str,
         Option("Behaviour of links over time: static, measured (by the graph's own chances), "

@@ -148,7 +148,7 @@ def test_no_interval_of_a_family_reaches_below_zero(answer):
 
 @pytest.mark.parametrize("suffix", [".graphml", ".edges", ".csv"])
 def test_a_generated_graph_is_read_back(answer, tmp_path: Path, suffix: str):
-    written = answer(f"generate small-world --nodes 12 --seed 5 --out net{suffix}")
+    written = answer(f"generate small-world --nodes 12 --seed 5 -o net{suffix}")
     network = read_network(tmp_path / f"net{suffix}")
     assert network.adjacency.nnz == written["links"] == 48
     report = answer(f"analyse net{suffix}")
