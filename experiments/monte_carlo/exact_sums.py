@@ -6,6 +6,7 @@ large superaccumulators", arXiv:1505.05571. The places here are never carried: t
 than `MOST_TERMS` numbers fit into 64 bits. Bits below 2**-LOWEST_BIT are left out of each number.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ LOWEST_BIT = 992
 SCALE = 1 << LOWEST_BIT
 MOST_TERMS = 2**30
 MOST_AT_ONCE = 2**20
+# Rows whose parts stay in the caches of a processor while they are taken apart.
+_CACHED = 64
 
 
 class ExactSums(NamedTuple):
@@ -36,11 +39,16 @@ class ExactSums(NamedTuple):
 def exact_sums(values: np.ndarray) -> ExactSums:
     """Return the sums of finite values (R, C) over R, of 1 to `MOST_AT_ONCE`."""
     assert len(values) <= MOST_AT_ONCE, "pieces have fewer runs"
+    blocks = range(0, len(values), _CACHED)
+    return reduce(added, (_sums_of_block(values[first : first + _CACHED]) for first in blocks))
+
+
+def _sums_of_block(values: np.ndarray) -> ExactSums:
     highest = (int(np.frexp(np.abs(values).max())[1]) - 1 + LOWEST_BIT) // PLACE_BITS
     rest, parts = np.array(values, dtype=float), []
     for place in range(max(highest, 0), -1, -1):
         unit = 2.0 ** (PLACE_BITS * place - LOWEST_BIT)
-        whole = np.trunc(rest / unit)
+        whole = np.trunc(rest * (1 / unit))
         # At most 2**20 integers of 32 bits: no sum of them is rounded.
         parts.insert(0, whole.sum(axis=0).astype(np.int64))
         rest -= whole * unit

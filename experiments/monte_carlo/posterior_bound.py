@@ -71,11 +71,14 @@ def _predicted(
     """Return the bound carried from `step` to the next, without its readings."""
     noise_cov = model.process_noise_cov(step)
     control = None if truths.control is None else truths.control[:, step + 1]
-    jacobians = _jacobian(
-        partial(model.transition, control=control, step=step), truths.truth[:, step], scale
+    slopes = _derivatives(
+        partial(model.transition, control=control, step=step),
+        truths.truth[:, step],
+        scale,
+        np.subtract,
     )
-    mean = jacobians.mean(axis=0)
-    spread = np.abs(jacobians - mean).max()
+    mean = slopes.mean(axis=1).T
+    spread = np.abs(slopes - slopes.mean(axis=1, keepdims=True)).max()
     if spread <= 1e-7 * np.abs(mean).max():
         # A linear model: the same in covariances, which a singular noise does not stop.
         return symmetrise(mean @ bound @ mean.T + noise_cov)
@@ -84,7 +87,7 @@ def _predicted(
         return np.full_like(bound, np.nan)
     precision = inverse_spd(noise_cov)
     crossed = precision @ mean
-    both = inverse_spd(bound) + (jacobians.mT @ precision @ jacobians).mean(axis=0)
+    both = inverse_spd(bound) + _gained(slopes, precision) / slopes.shape[1]
     return inverse_spd(symmetrise(precision - crossed @ inverse_spd(symmetrise(both)) @ crossed.T))
 
 
@@ -94,50 +97,65 @@ def _information(
     """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
     runs, n = truths.truth.shape[0], truths.truth.shape[-1]
     total = np.zeros((n, n))
-    taken = np.logical_not(np.isnan(truths.readings[:, step]).all(axis=-1))
     for group in groups:
-        readings, read = group.of(truths.readings[:, step]), group.of(taken)
-        which = np.flatnonzero(read.any(axis=(1, 2)))
-        if not len(which):
+        readings = group.of(truths.readings[:, step])
+        which = np.logical_not(np.isnan(readings).all(axis=(1, 2, 3)))
+        if not which.any():
             continue
-        slopes = _slopes(group.sensor, truths.truth[which, step], read.shape[1], scale, step)
-        for place in range(read.shape[2]):
-            value, noise_cov = group.sensor.interpret(readings[which, :, place])
-            noise_cov = np.broadcast_to(noise_cov, (*value.shape, value.shape[-1]))
-            at = read[which, :, place]
-            total += _of_readings(value[at], noise_cov[at], slopes[at])
+        states = truths.truth[:, step]
+        if not which.all():
+            readings, states = readings[which], states[which]
+        measure = partial(_measured_by_all, group.sensor, readings.shape[1], step)
+        slopes = _derivatives(measure, states, scale, group.sensor.residual)
+        for place in range(readings.shape[2]):
+            value, noise_cov = group.sensor.interpret(readings[:, :, place])
+            total += _of_readings(value, noise_cov, slopes)
     return symmetrise(total / runs)
 
 
 def _of_readings(value: np.ndarray, noise_cov: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Sum of H' R^-1 H (n, n) over readings (K, m), of noise (K, m, m) and slopes (K, m, n)."""
+    """Sum of H' R^-1 H (n, n) over readings (R, N, m), of noise (..., m, m) and slopes
+    (n, R, N, m); what is NaN was not taken."""
     missing = np.isnan(value)
-    if missing.any():
-        noise_cov = without_rows(noise_cov, missing)
-        slopes = np.where(missing[..., None], 0.0, slopes)
-    weighed = np.einsum("kij,kja->kia", inverse_spd(noise_cov), slopes)
-    n = slopes.shape[-1]
-    return slopes.reshape(-1, n).T @ weighed.reshape(-1, n)
+    if not missing.any():
+        return _gained(slopes, inverse_spd(_one_of_all(noise_cov)))
+    partly = (missing != missing[..., :1]).any()
+    noise_cov = without_rows(noise_cov, missing) if partly else _one_of_all(noise_cov)
+    return _gained(np.where(missing, 0.0, slopes), inverse_spd(noise_cov))
 
 
-def _slopes(
-    sensor: Sensor, states: np.ndarray, nodes: int, scale: np.ndarray, step: int
+def _one_of_all(cov: np.ndarray) -> np.ndarray:
+    """The covariance (m, m) of lanes (..., m, m) that share the memory of one, else those."""
+    lanes = cov.ndim - 2
+    return cov[(0,) * lanes] if lanes and not any(cov.strides[:lanes]) else cov
+
+
+def _gained(slopes: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Sum of H' W H (n, n) over all lanes of slopes (n, ..., m), H' lane by lane, and of W (m, m)
+    or (..., m, m)."""
+    # The lanes stay where they are in memory, and one product sums over them. Precisions are
+    # symmetric.
+    if precision.ndim == 2:
+        weighed = slopes.reshape(-1, len(precision)) @ precision
+    else:
+        weighed = np.einsum("...ij,a...j->a...i", precision, slopes)
+    return slopes.reshape(len(slopes), -1) @ weighed.reshape(len(slopes), -1).T
+
+
+def _measured_by_all(sensor: Sensor, nodes: int, step: int, states: np.ndarray) -> np.ndarray:
+    """Return what the sensors (N) of a group measure (..., N, m) of states (..., n)."""
+    shape = (*states.shape[:-1], nodes, states.shape[-1])
+    return sensor.measure(np.broadcast_to(states[..., None, :], shape), step)
+
+
+def _derivatives(
+    function: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    scale: np.ndarray,
+    residual: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Jacobians (R, N, m, n) of the sensor of N nodes at states (R, n)."""
-    n = len(scale)
-    shape = (n, len(states), nodes, n)
-    ahead, behind = (
-        sensor.measure(
-            np.broadcast_to((states + sign * np.diag(scale)[:, None])[:, :, None], shape), step
-        )
-        for sign in (1, -1)
-    )
-    return np.moveaxis(sensor.residual(ahead, behind), 0, -1) / (2 * scale)
-
-
-def _jacobian(
-    transition: Callable[[np.ndarray], np.ndarray], states: np.ndarray, scale: np.ndarray
-) -> np.ndarray:
-    """Jacobians (R, n, n) of a transition at states (R, n), by central differences."""
-    moved = [transition(states + sign * np.diag(scale)[:, None]) for sign in (1, -1)]
-    return np.moveaxis((moved[0] - moved[1]) / (2 * scale)[:, None, None], 0, -1)
+    """Derivatives (n, R, ..., m) of a function at states (R, n) by each state, by central
+    differences."""
+    ahead, behind = (function(states + sign * np.diag(scale)[:, None]) for sign in (1, -1))
+    difference = residual(ahead, behind)
+    return difference / (2 * scale).reshape(-1, *(1,) * (difference.ndim - 1))

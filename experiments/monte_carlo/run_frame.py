@@ -26,6 +26,10 @@ class RunFrame(NamedTuple):
     cov: np.ndarray
     bound: np.ndarray
 
+    def of(self, place: slice) -> "RunFrame":
+        """Return that of some of the runs, beside the bound of all."""
+        return RunFrame(self.mean[place], self.cov[place], self.bound)
+
 
 _frames: dict[bytes, RunFrame] = {}
 

@@ -93,6 +93,22 @@ class Histories(NamedTuple):
     spreads: tuple[RecordSpread, ...]
     tracks: tuple[TracksTrace, ...] = ()
 
+    def of(self, place: slice) -> "Histories":
+        """Return those of some of the runs."""
+        whole = self._asdict()
+        arrays = {name: one[place] for name, one in whole.items() if isinstance(one, np.ndarray)}
+        several = {
+            name: None if one is None else type(one)(*(part[place] for part in one))
+            for name, one in (("innovations", self.innovations), ("past", self.past))
+        }
+        return self._replace(
+            **arrays,
+            **several,
+            counters={name: counts[place] for name, counts in self.counters.items()},
+            spreads=self.spreads[place],
+            tracks=self.tracks[place],
+        )
+
 
 class _Recorded(NamedTuple):
     """One step of some runs: the axes of `Histories` without S."""
@@ -142,8 +158,8 @@ def simulate(
             collected.take(place, on_progress)
             first = place.stop
     except KeyboardInterrupt:
-        raise Interrupted(collected.histories(first) if first else None) from None
-    return collected.histories(len(runs))
+        raise Interrupted(collected.histories().of(slice(first)) if first else None) from None
+    return collected.histories()
 
 
 def runs_together(scenario: Scenario) -> int:
@@ -204,24 +220,24 @@ class _Collected:
         if found is not None:
             _put(self._setup, self._arrays, at, dict(zip(_INNOVATIONS, found, strict=True)))
 
-    def histories(self, count: int) -> Histories:
-        """Of the first so many runs."""
+    def histories(self) -> Histories:
+        """Of all runs; of those that were not taken, no number means anything."""
         missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
         del missing[INNOVATIONS]
-        arrays = {name: values[:count] for name, values in self._arrays.items()}
+        arrays = dict(self._arrays)
         past = Past(arrays.pop(_PAST_MEAN), arrays.pop(_PAST_STD)) if _PAST_MEAN in arrays else None
         there = _INNOVATIONS[0] in arrays
         innovations = Innovations(*map(arrays.pop, _INNOVATIONS)) if there else None
         fields: dict[str, Any] = {**missing, **arrays}
         return Histories(
             setup=self._setup,
-            runs=np.array(self._runs[:count]),
-            counters={name: counts[:count] for name, counts in self._counters.items()},
-            prior_mean=self._prior_mean[:count],
+            runs=np.array(self._runs),
+            counters=self._counters,
+            prior_mean=self._prior_mean,
             innovations=innovations,
             past=past,
-            spreads=tuple(self._spreads[:count]),
-            tracks=tuple(self._tracks[:count]),
+            spreads=tuple(self._spreads),
+            tracks=tuple(self._tracks),
             **fields,
         )
 

@@ -63,7 +63,7 @@ def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
     needs = [
         (needed_bytes(cell.scenario, together), ceil(specification.runs / together))
         for cell in good
-        for together in [min(specification.runs, runs_at_once(cell.scenario))]
+        for together in [min(specification.runs, runs_at_once(cell.scenario, specification.keep))]
     ]
     # More pieces of a cell than workers are never computed at once.
     check_workers((need for need, pieces in needs for _ in range(min(pieces, workers))), workers)

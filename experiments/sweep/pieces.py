@@ -22,6 +22,8 @@ from concord.scenarios.scenario import Scenario
 # Estimates of a piece that are in memory at once: nodes x runs x steps. The filter that hears
 # everything has a lane for each run alone, so that small pieces spend their time in numpy's calls.
 LARGEST = 1_000_000
+# So many times as many where moments are kept: their figures are made of a part at a time.
+PARTS_OF_MOMENTS = 2
 # The same where messages are passed one by one, which takes a hundred times as long.
 LARGEST_OF_MESSAGES = 10_000
 # Figures that a piece reduces to moments, by what the sweep keeps.
@@ -72,9 +74,11 @@ def digest_of(piece: Piece, digests: dict[str, str], by: Origin) -> str:
     return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:32]
 
 
-def runs_at_once(scenario: Scenario) -> int:
-    """Return the number of runs that a piece has at most."""
-    largest = LARGEST if without_array_form(scenario) is None else LARGEST_OF_MESSAGES
+def runs_at_once(scenario: Scenario, keep: str = "histories") -> int:
+    """Return the number of runs that a piece has at most, by what the sweep keeps."""
+    if without_array_form(scenario) is not None:
+        return max(1, LARGEST_OF_MESSAGES // (scenario.nodes * scenario.steps))
+    largest = LARGEST * PARTS_OF_MOMENTS if keep == "moments" else LARGEST
     runs = max(1, largest // (scenario.nodes * scenario.steps))
     # A remainder of few runs would cost nearly as many of numpy's calls as runs taken together.
     together = runs_together(scenario)
@@ -89,7 +93,7 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
     pieces = []
     end = specification.first_run + specification.runs
     for cell in cells:
-        at_once = runs_at_once(cell.scenario)
+        at_once = runs_at_once(cell.scenario, specification.keep)
         text = msgspec.json.encode(cell.scenario)
         first = specification.first_run
         while first < end:
@@ -102,11 +106,16 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
 def compute(piece: Piece) -> dict[str, np.ndarray]:
     """Return the figures of a piece (`figure_table.FIGURES`), reduced as far as it says."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
-    runs = range(piece.first, piece.last)
-    histories = simulate(setup, runs)
-    figures = figures_of(setup, histories, frame_of(setup, runs, histories))
-    names = REDUCED[piece.keep]
-    return reduced(figures, names) if names else figures
+    histories = simulate(setup, range(piece.first, piece.last))
+    frame = frame_of(setup, range(piece.first, piece.last), histories)
+    parts, names = CellParts(), REDUCED[piece.keep]
+    at_once = runs_at_once(setup.scenario)
+    for first in range(piece.first, piece.last, at_once):
+        part = piece._replace(first=first, last=min(first + at_once, piece.last))
+        place = slice(first - piece.first, part.last - piece.first)
+        figures = figures_of(setup, histories.of(place), frame.of(place))
+        parts.add(part, reduced(figures, names) if names else figures)
+    return parts.figures()
 
 
 class CellParts:
