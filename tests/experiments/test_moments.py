@@ -51,6 +51,13 @@ def test_order_and_grouping_do_not_change_a_sum(numbers: list[float], random):
     assert added(*parts).integers.tolist() == whole.tolist()
 
 
+def test_a_sum_of_many_rows_is_exact_too():
+    values = np.random.default_rng(4).normal(size=(500, 3)) * 10.0 ** np.arange(-9, 9, 6)
+    values[70] = values[400] = 1e-200
+    found = [quotient(total, SCALE) for total in exact_sums(values).integers]
+    assert found == [math.fsum(column) for column in values.T]
+
+
 def test_a_float_sum_would_depend_on_the_order():
     # The tests above can fail: plain addition gives other bits.
     numbers = [1e16, 1.0, -1e16, 1.0]

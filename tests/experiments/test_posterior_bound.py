@@ -168,3 +168,23 @@ def test_it_says_nothing_where_nobody_knows_the_truth():
     unknown = truths._replace(truth=np.full_like(truths.truth, np.nan))
     bound = posterior_bound(unknown, parts.prior_cov, parts.model, parts.groups)
     assert np.isnan(bound).all()
+
+
+def test_of_a_reading_in_part_only_that_part_informs():
+    """One step, and the sum over the entries that were taken, one by one."""
+    truths, parts = truths_of("target-tracking", 3, nodes=4, steps=1)
+    readings = truths.readings.copy()
+    readings[0, 0, 1, 0, 0] = readings[1, 0, :, 0, 1] = readings[2, 0, 2] = np.nan
+    information = np.linalg.inv(parts.prior_cov)
+    for truth, taken in zip(truths.truth[:, 0], readings[:, 0, :, 0], strict=True):
+        for sensor, reading in zip(parts.sensors, taken, strict=True):
+            dx, dy = truth[[0, 2]] - sensor.position_m
+            square = dx * dx + dy * dy
+            rows = np.array([[dx, 0, dy, 0, 0], [-dy, 0, dx, 0, 0]])
+            rows /= np.array([[np.sqrt(square)], [square]])
+            for row, deviation, value in zip(rows, sensor.noise_std, reading, strict=True):
+                if not np.isnan(value):
+                    information = information + np.outer(row, row) / deviation**2 / 3
+    partly = truths._replace(readings=readings)
+    [bound] = posterior_bound(partly, parts.prior_cov, parts.model, parts.groups)
+    np.testing.assert_allclose(bound, np.linalg.inv(information), rtol=1e-6, atol=1e-6)
