@@ -79,13 +79,13 @@ def _typed(option: OfferedOption) -> Flag:
     return Annotated[kind, shown], None
 
 
-def texts(metavar: str) -> Callable[[OfferedOption], Flag]:
-    """Flags that read a text each."""
+def texts(metavar: str, left_out: str | None = None) -> Callable[[OfferedOption], Flag]:
+    """Flags that read a text each; `left_out` says in the help what holds without the flag, in
+    place of the default."""
 
     def flag(option: OfferedOption) -> Flag:
-        shown = tyro.conf.arg(
-            help=option.help, metavar=metavar, help_behavior_hint=option.default_in_words
-        )
+        hint = option.default_in_words if left_out is None else left_out
+        shown = tyro.conf.arg(help=option.help, metavar=metavar, help_behavior_hint=hint)
         return Annotated[str | None, shown], None
 
     return flag

@@ -20,7 +20,7 @@ else:
     FixedOptions = grouped_flags(
         "FixedOptions",
         "What is the same in all cases; everything else is drawn from the seed.",
-        texts("VALUE"),
+        texts("VALUE", left_out="(drawn from the seed, or the scenario's default)"),
         without=("run",),
     )
 

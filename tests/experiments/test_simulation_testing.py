@@ -48,6 +48,12 @@ def test_nothing_breaks_and_what_was_done_is_counted(capsys: pytest.CaptureFixtu
     assert {*result["struck"]} <= {*EVERY_FAULT} and min(result["struck"].values()) > 0
 
 
+def test_the_help_names_no_default_of_a_field_that_is_drawn(capsys: pytest.CaptureFixture[str]):
+    code, out, _ = said(capsys, "--help")
+    assert code == 0 and "drawn from the seed" in out
+    assert "for target-tracking)" not in out
+
+
 def test_the_whole_vocabulary_is_drawn():
     """Every word that there is, and so also one that is new in the table."""
     cases = [draw_case(seed, {}) for seed in range(1, 81)]
