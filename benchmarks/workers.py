@@ -12,8 +12,8 @@ from pathlib import Path
 from benchmarks.measure import BenchmarkFigures, figure, ratio, say
 from concord.runtime.interpreter import fresh_command, fresh_variables
 
-# The short sweep has two pieces, so that it starts both workers too.
-RUNS, SHORT_RUNS, TURNS = 6000, 1000, 3
+# The short sweep has two pieces, so that it starts both workers too; the long one has eight.
+RUNS, SHORT_RUNS, TURNS = 12_000, 2000, 3
 WORKERS = (1, 2)
 
 
