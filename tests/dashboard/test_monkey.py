@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ import pytest
 
 from concord.dashboard.frames.live import LiveNetwork
 from concord.dashboard.serve import open_network
-from concord.runtime.network.control_client import Client
+from concord.runtime.network.control_client import Client, NotThere
 from concord.runtime.network.network_file import read_network
 from tests.dashboard.browser_page import Page, recorded_page, row_of
-from tests.processes import CONCORD, family, holds_within
+from tests.processes import CONCORD, PATIENCE_S, family, holds_within
 
 SEED, SECONDS = 20, 12.0
 TABS = ("Charts", "One state", "Log", "Nodes", "Selected", "Help", "Beliefs", "States")
@@ -135,19 +135,34 @@ def torment(page: Page, seed: int, seconds: float) -> int:
 @contextmanager
 def network_page(browser: Any, folder: Path, options: tuple[str, ...]) -> Iterator[Page]:
     """Start a network of processes with these options; yield a page on it."""
-    command = (*CONCORD, "run", "--driver", "processes", "--steps", "20000", *options)
+    command = (*CONCORD, "run", "--driver", "processes", "--steps", "8000", *options)
     with family((*command, "--out", str(folder)), folder.parent):
-        assert holds_within(20.0, (folder / "network.json").exists)
-        reach = read_network(folder)
-        source = LiveNetwork(reach.connect, reach.run)
+        source = _connected(folder)
         slowed = {"do": "speed", "steps_per_second": STEPS_PER_S}
-        assert holds_within(20.0, lambda: source.ask(slowed).accepted)
+        assert holds_within(PATIENCE_S, lambda: source.ask(slowed).accepted)
         page = Page(open_network(source, folder, "127.0.0.1", 0, light=False), browser)
         try:
             page.until(lambda: page.dashboard.history.last_step >= 8)
             yield page
         finally:
             page.close()
+
+
+def _connected(folder: Path) -> LiveNetwork:
+    """Connect to a network; its environment draws all its randomness before it answers."""
+    source: LiveNetwork | None = None
+
+    def connect() -> bool:
+        nonlocal source
+        with suppress(NotThere):
+            reach = read_network(folder)
+            source = LiveNetwork(reach.connect, reach.run)
+        return source is not None
+
+    assert holds_within(PATIENCE_S, (folder / "network.json").exists)
+    assert holds_within(PATIENCE_S, connect)
+    assert source is not None
+    return source
 
 
 def torment_network(
