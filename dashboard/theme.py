@@ -100,6 +100,18 @@ def mixed(one: Colour, other: Colour, share: float) -> Colour:
     return blend[0], blend[1], blend[2]
 
 
+def letters_on(ground: Colour) -> Colour:
+    """Black or white, whichever can be read on a colour."""
+    light = relative_luminance(ground)
+    # The contrast of both is equal where (light + 0.05)^2 is 1.05 times 0.05.
+    return (0, 0, 0) if light > 0.179 else (255, 255, 255)
+
+
+def relative_luminance(colour: Colour) -> float:
+    """Light of a colour, from 0 of black to 1 of white. Source: WCAG 2.2, relative luminance."""
+    return float(np.array([0.2126, 0.7152, 0.0722]) @ linear(colour)) / 255
+
+
 def linear(colours: object) -> NDArray[np.uint8]:
     """Bytes that three.js shows as these sRGB colours (..., 3), where it takes them for linear.
 

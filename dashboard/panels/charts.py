@@ -202,9 +202,13 @@ def shown_power(columns: list[np.ndarray]) -> int:
 
 def titled(name: str, unit: str, power: int) -> str:
     """Return a chart's name with its unit and the power of ten of its values."""
-    exponent = f"10{str(power).translate(_RAISED)} " if power else ""
-    of = exponent + ("" if unit == "1" else unit)
+    of = powered("", power) + ("" if unit == "1" else f" {unit}")
     return f"{name} [{of.strip()}]" if of else name
+
+
+def powered(words: str, power: int) -> str:
+    """Return words with a power of ten behind them; alone where it is one."""
+    return f"{words} 10{str(power).translate(_RAISED)}" if power else words
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

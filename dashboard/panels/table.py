@@ -11,12 +11,14 @@ from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, olde
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.frames.verdict import RunVerdict
+from concord.dashboard.panels.charts import powered, shown_power
 from concord.dashboard.scene.signs import MARKS, colour_of
-from concord.dashboard.theme import Theme, css
+from concord.dashboard.theme import Theme, css, letters_on
 from concord.dashboard.view import View
 
 MOST_ROWS = 60
 _HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rejected")
+_SCALED = ("error", "3σ", "set")
 
 
 def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
@@ -26,6 +28,9 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
     told = any(frame.rejection)
     top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
+    # Small numbers in full would push the last column out of a narrow window.
+    power = shown_power([np.nan_to_num(frame.scores.error), np.nan_to_num(width)])
+    share = 10.0**-power
     cells = []
     for node in rows:
         marked = f"background:{css(theme.faint)};" if node == view.selected else ""
@@ -41,17 +46,17 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         age = "-" if ages[node] < 0 else str(ages[node])
         cells.append(
             f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
-            f'<td style="text-align:left;white-space:nowrap"><span style="color:'
+            f'<td title="{escape(stage.names[node])}" style="text-align:left"><span style="color:'
             f'{css(colour_of(theme, words[node]))}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
             f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
             + "".join(f"<td>{number}</td>" for number in numbers)
             + f"<td>{age}</td>"
-            f'<td class="why" style="padding-left:12px;background:linear-gradient(to right,'
+            f'<td class="why" style="padding-left:5px;background:linear-gradient(to right,'
             f"{css(bar_colour, 0.35)} {bar:.0f}%,"
-            f'transparent {bar:.0f}%)">{_number(error)}</td>'
-            f'<td class="why">{_number(width[node])}</td>'
+            f'transparent {bar:.0f}%)">{_number(share * error)}</td>'
+            f'<td class="why">{_number(share * width[node])}</td>'
             + (f'<td style="text-align:left">{escape(frame.rejection[node])}</td>' if told else "")
             + "</tr>"
         )
@@ -60,11 +65,16 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         more = f"<div>{len(rows)} of {stage.nodes} nodes; choose the order under View</div>"
     sigma = "set" if stage.set_valued else "3σ"
     shown = [sigma if head == "3σ" else head for head in _HEADINGS[: None if told else -1]]
-    heads = "".join(f'<th title="{HEADINGS[head]}">{head}</th>' for head in shown)
+    heads = "".join(
+        f'<th title="{HEADINGS[head]}">{powered(head, power) if head in _SCALED else head}</th>'
+        for head in shown
+    )
     return (
-        f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
-        f"white-space:nowrap}}.nodes th{{color:"
-        f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
+        f"<style>.nodes td,.nodes th{{padding:1px 2px;text-align:right;"
+        f"white-space:nowrap}}.nodes td:first-child{{max-width:max(72px,6.5vw);overflow:hidden;"
+        f"text-overflow:ellipsis}}.nodes th{{color:"
+        f"{css(theme.quiet)};font-weight:600;white-space:normal;vertical-align:top;"
+        f"position:sticky;top:0;background:{css(theme.panel)}}}"
         f".why:hover{{text-decoration:underline}}"
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
         f'</style><div style="font-size:11px;color:{css(theme.text)};'
@@ -122,10 +132,12 @@ def status(
         "ENDED": theme.quiet,
         "SILENT": theme.down,
     }
+    ground = colour.get(state, theme.blind)
     pill = (
-        f'<span data-testid="run-state" style="background:{css(colour.get(state, theme.blind))};'
-        f'color:#fff;border-radius:10px;padding:2px 10px;font-weight:700;font-size:11px">{state}'
-        f'</span> <span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
+        f'<span data-testid="run-state" style="background:{css(ground)};'
+        f"color:{css(letters_on(ground))};border-radius:10px;padding:2px 10px;font-weight:700;"
+        f'font-size:11px">{state}</span> '
+        f'<span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
     )
     rows: list[tuple[str, str, str, str]] = []
     if frame is not None:
@@ -157,7 +169,8 @@ def status(
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = escape(scenario.network.graph), scenario.rule.name
-    about = f"{name}, {graph}, {rule}, {scenario.rounds} rounds"
+    rounds = f"{scenario.rounds} round{'s' * (scenario.rounds != 1)}"
+    about = f"{name}, {graph}, {rule}, {rounds}"
     return (
         f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
         f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'

@@ -1,12 +1,16 @@
 """Any two meanings of the page have colours that the colour-blind can tell apart."""
 
+import re
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from concord.dashboard.theme import DARK, LIGHT, Theme
+from concord.dashboard.frames.stage import set_stage
+from concord.dashboard.panels.table import status
+from concord.dashboard.theme import DARK, LIGHT, Theme, relative_luminance
 from tests.dashboard.colour_vision import SIGHT, difference, lab
+from tests.dashboard.runs import setup_of
 
 MEANINGS = (
     "seeing", "blind", "stale", "sending", "down", "truth", "fused", "estimate", "selection",
@@ -45,3 +49,20 @@ def test_the_difference_is_that_of_the_published_pairs(one: tuple, other: tuple,
 def test_white_is_neutral_to_every_sight():
     for sight in SIGHT:
         assert lab((255, 255, 255), sight) == pytest.approx([100, 0, 0], abs=0.6)
+
+
+@pytest.mark.parametrize("theme", [DARK, LIGHT], ids=["dark", "light"])
+def test_the_state_of_the_run_can_be_read(theme: Theme):
+    """Source: WCAG 2.2, success criterion 1.4.3: a contrast of 4.5 for small letters."""
+    stage = set_stage(setup_of("oscillator", nodes=3, steps=2))
+    for state in ("RUNNING", "PAUSED", "ENDED", "SILENT", "LOADING"):
+        html = status(stage, theme, None, state)
+        pill = html[: html.index("</span>")]
+        ((ground, letters),) = re.findall("background:#(......);color:#(......)", pill)
+        dark, light = sorted(relative_luminance(_colour(code)) for code in (ground, letters))
+        assert (light + 0.05) / (dark + 0.05) > 4.5, state
+
+
+def _colour(code: str) -> tuple[int, int, int]:
+    red, green, blue = bytes.fromhex(code)
+    return red, green, blue

@@ -10,13 +10,14 @@ import pytest
 from concord.dashboard.explain.selected import selected_panel
 from concord.dashboard.frames.conditions import conditions, oldest, sender_at
 from concord.dashboard.frames.frame import LogEntry
+from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH, Axis, slot
 from concord.dashboard.panels.zoom import SIZE, zoom
 from concord.dashboard.theme import DARK, LIGHT, linear
 from concord.dashboard.view import View
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import frames_of, run_of, setup_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
 FRAMES = frames_of(STAGE, MESSAGES)
@@ -122,6 +123,23 @@ def test_the_table_tells_who_is_down_and_who_is_selected():
     assert dict(rows)["5"] == "down"
     assert "DOWN" in html
     assert "DOWN" not in node_table(STAGE, view, FRAME)
+
+
+def test_small_numbers_have_a_power_of_ten_in_the_heading():
+    usual = node_table(STAGE, View(), FRAME)
+    assert ">error</th>" in usual and ">3σ</th>" in usual
+    scores = FRAME.scores._replace(error=1e-4 * FRAME.scores.error, width=1e-4 * FRAME.scores.width)
+    small = node_table(STAGE, View(), FRAME._replace(scores=scores))
+    assert ">error 10⁻³</th>" in small and ">3σ 10⁻³</th>" in small
+    numbers = re.findall(r'class="why"[^>]*>([^<]*)</td>', small)
+    for shown, value in zip(numbers[1::2], 3e3 * scores.width, strict=True):
+        assert float(shown) == pytest.approx(value, rel=5e-3)
+
+
+def test_one_round_is_one_round():
+    single = set_stage(setup_of("target-tracking", nodes=8, rounds=1))
+    assert "ci, 1 round<" in status(single, DARK, None, "PAUSED")
+    assert "ci, 3 rounds<" in status(STAGE, DARK, FRAME, "PAUSED")
 
 
 def test_large_networks_show_the_worst_and_the_selected():
