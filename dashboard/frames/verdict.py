@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.expected import Expected
 from concord.dashboard.frames.frame import StepFrame
 
@@ -43,16 +44,18 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> RunVerdict:
     if spread > max(1.0, times) * believed > 0:
         apart = spread / believed
         return RunVerdict(
-            "DISAGREEING", False, f"estimates differ by {apart:.2g} times what the nodes believe"
+            "DISAGREEING",
+            False,
+            f"estimates differ by {rounded(apart, 2)} times what the nodes believe",
         )
-    reason = f"errors are {times:.2g} times what the nodes believe{_beside_central(judged)}"
+    reason = f"errors are {rounded(times, 2)} times what the nodes believe{_beside_central(judged)}"
     if np.isfinite(high).all():
         above, below = (consistency > high).mean(), (consistency < low).mean()
         is_over, is_under = above > _OUTSIDE, below > _OUTSIDE
     else:
         is_over, is_under = times > _REMARKABLE, times < 1 / _REMARKABLE
     if is_over:
-        return RunVerdict(f"OVERCONFIDENT × {times:.2g}", False, reason)
+        return RunVerdict(f"OVERCONFIDENT × {rounded(times, 2)}", False, reason)
     if is_under:
         return RunVerdict("CAUTIOUS", True, reason)
     return RunVerdict("CONSISTENT", True, reason)
@@ -80,4 +83,4 @@ def _beside_central(frames: Sequence[StepFrame]) -> str:
     if not np.isfinite(central).all() or not central.any():
         return ""
     ratio = _rms(frames, "rmse") / _rms(frames, "central")
-    return f", and {ratio:.2g} times those of a centralised filter"
+    return f", and {rounded(ratio, 2)} times those of a centralised filter"

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.frame import LogEntry
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import Stage
@@ -157,7 +158,11 @@ def _targets(stage: Stage, place: np.ndarray, bins: RunBins, events: Sequence[Lo
     for i in range(len(bins.rmse)):
         first, last = int(bins.edges[i]), int(bins.edges[i + 1]) - 1
         steps = f"step {first}" if first == last else f"steps {first} to {last}"
-        rmse = f"RMSE {bins.rmse[i]:.3g} {unit}".strip() if np.isfinite(bins.rmse[i]) else "no RMSE"
+        rmse = (
+            f"RMSE {rounded(bins.rmse[i])} {unit}".strip()
+            if np.isfinite(bins.rmse[i])
+            else "no RMSE"
+        )
         told = [steps, rmse, f"{bins.missed[i]:.0f} senders missed", *words.get(i, ())[:6]]
         parts.append(
             f'<rect class="bin" data-node="{i}" data-time="{first * seconds:g}" '

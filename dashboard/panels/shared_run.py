@@ -11,6 +11,7 @@ from html import escape
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Curve, Drawn
@@ -98,7 +99,7 @@ def shared_run(
 
 def _told(frame: StepFrame) -> str:
     scores, unit = frame.scores, frame.stage.score.unit.removeprefix("1")
-    rmse = f", RMSE {scores.rmse:.3g} {unit}".rstrip() if np.isfinite(scores.rmse) else ""
+    rmse = f", RMSE {rounded(scores.rmse)} {unit}".rstrip() if np.isfinite(scores.rmse) else ""
     alive = f"{int(frame.alive.sum())} of {frame.stage.nodes} nodes up"
     return f"step {frame.step}, time {frame.time_s:.4g} s, {alive}{rmse}"
 

@@ -5,6 +5,7 @@ from html import escape
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.explain.help import HEADINGS
 from concord.dashboard.explain.tooltips import CHARTS
 from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
@@ -183,7 +184,7 @@ def _bad(theme: Theme, holds: bool) -> str:
 
 
 def _number(value: float) -> str:
-    return "-" if not np.isfinite(value) else f"{value:.3g}"
+    return "-" if not np.isfinite(value) else rounded(value)
 
 
 def _verdict(theme: Theme, is_empty: bool, judged: RunVerdict | None) -> str:

@@ -4,6 +4,7 @@ from html import escape
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.scene.geometry import ellipse_axes, zonotope_corners
@@ -131,7 +132,7 @@ class _Drawing:
         if self._is_map:
             unit = escape(self._stage.state_units[self._states[0]])
             return "".join(
-                self._mark(middle + 3, middle - r * self._scale[0] + 11, f"{r:.3g} {unit}")
+                self._mark(middle + 3, middle - r * self._scale[0] + 11, f"{rounded(r)} {unit}")
                 for r in self._radii()
             )
         across, up = (f"±{span:.2g}" for span in self._spans)

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.explain.selected import selected_panel
 from concord.dashboard.frames.conditions import conditions, oldest, sender_at
 from concord.dashboard.frames.frame import LogEntry
@@ -134,6 +135,18 @@ def test_small_numbers_have_a_power_of_ten_in_the_heading():
     numbers = re.findall(r'class="why"[^>]*>([^<]*)</td>', small)
     for shown, value in zip(numbers[1::2], 3e3 * scores.width, strict=True):
         assert float(shown) == pytest.approx(value, rel=5e-3)
+
+
+def test_large_numbers_are_written_in_full():
+    assert [rounded(value) for value in (0.00123456, 7.0, 999.6, 2284.0, 76543.0)] == [
+        "0.00123", "7", "1000", "2280", "76500",
+    ]  # fmt: skip
+    assert (rounded(-7621.0, 2), rounded(3.2e7)) == ("-7600", "3.2e+07")
+    scores = FRAME.scores._replace(error=2284 + 0 * FRAME.scores.error, rmse=2284.0)
+    wrong = FRAME._replace(scores=scores)
+    assert "e+" not in node_table(STAGE, View(), wrong) and "e+" not in status(
+        STAGE, DARK, wrong, "PAUSED"
+    )
 
 
 def test_one_round_is_one_round():
