@@ -39,6 +39,7 @@ def drawn_link(frame: StepFrame, ends: tuple[int, int]) -> str:
         one, other = (stage.names[node] for node in ends)
         raise ValueError(
             f"a link between {one} and {other}: they are no neighbours, and a running network "
-            "takes no new link; choose another --graph before the run"
+            "takes no new link; start one whose --graph has the link, with "
+            f'--changes "0 cut {ends[0]} {ends[1]}", and draw it then'
         )
     return f"{'heal' if is_cut(frame, ends) else 'cut'} {ends[0]} {ends[1]}"

@@ -90,5 +90,13 @@ def test_each_action_is_a_command_about_what_was_touched(nodes: tuple[int, ...],
 def test_a_drawn_link_cuts_or_heals_and_no_new_one_is_promised():
     assert drawn_link(FRAME, (2, 1)) == "heal 2 1"
     assert drawn_link(FRAME, (2, 3)) == "cut 2 3"
-    with pytest.raises(ValueError, match="no neighbours"):
+    with pytest.raises(ValueError, match=r'no neighbours.* --changes "0 cut 0 4"'):
         drawn_link(FRAME, (0, 4))
+
+
+def test_a_link_that_was_cut_at_the_first_step_can_be_drawn():
+    stage, messages = run_of(
+        "target-tracking", nodes=5, steps=3, graph="complete", changes=("0 cut 0 4",)
+    )
+    first = frames_of(stage, messages)[0]
+    assert first.cut.sum() == 1 and drawn_link(first, (0, 4)) == "heal 0 4"
