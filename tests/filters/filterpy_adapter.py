@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.linalg import helmert
 
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
@@ -33,6 +34,15 @@ class JulierSigmaPoints(MerweScaledSigmaPoints):
 
     def __init__(self, n: int, kappa: float) -> None:
         super().__init__(n, 1.0, 0.0, kappa)
+
+
+class SimplexSigmaPoints(MerweScaledSigmaPoints):
+    """The n + 1 corners of a regular simplex as a rule that a user brings: equal weights."""
+
+    def __init__(self, n: int) -> None:
+        self.n, self.Wm = n, np.full(n + 1, 1 / (n + 1))
+        self.Wc = self.Wm
+        self.rule = SigmaPointRule(np.sqrt(n + 1) * helmert(n + 1).T, self.Wm, self.Wc)
 
 
 def finite(values: np.ndarray) -> np.ndarray:

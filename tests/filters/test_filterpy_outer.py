@@ -21,7 +21,8 @@ from tests.filters import filterpy_adapter
 
 OUTER = os.environ.get("CONCORD_FILTERPY_TESTS", "")
 NAMES = (
-    "MerweScaledSigmaPoints", "JulierSigmaPoints", "unscented_transform", "UnscentedKalmanFilter",
+    "MerweScaledSigmaPoints", "JulierSigmaPoints", "SimplexSigmaPoints", "unscented_transform",
+    "UnscentedKalmanFilter",
 )  # fmt: skip
 
 
@@ -41,10 +42,8 @@ def test_filterpys_unscented_tests_pass(monkeypatch: pytest.MonkeyPatch):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = outer_tests(monkeypatch)
-        # The spherical simplex is no rule of ours.
-        ours = [test for test in found if "implex" not in test.__name__]
-        assert len(ours) >= 13
-        for test in ours:
+        assert len(found) >= 16
+        for test in found:
             np.random.seed(1)  # filterpy's tests draw from the global generator
             test()
 
@@ -63,6 +62,7 @@ def slant_range(x: np.ndarray) -> np.ndarray:
         lambda module: module.JulierSigmaPoints(n=3, kappa=0.0),
         lambda module: module.JulierSigmaPoints(n=3, kappa=1.0),
         lambda module: module.MerweScaledSigmaPoints(3, 0.5, 2.0, 0.0),
+        lambda module: module.SimplexSigmaPoints(3),
     ],
 )
 def test_a_filter_and_a_smoother_give_the_numbers_of_filterpy(points: Callable[[Any], Any]):
