@@ -1,7 +1,7 @@
-"""A drive without logged side slip: the channels that the fit hears, and the values it leaves."""
+"""What a drive tells of the side slip: channels that the fit hears, and values that it leaves."""
 
-from collections.abc import Mapping
-from typing import NamedTuple, TypeGuard
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -12,8 +12,10 @@ from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.parameters import Car, SensorSheet
 
 _ARM = ("sensors", "accelerometer_ahead_m")
-_HIDDEN = (
+_TURNING = ("yaw_rate", "lateral_acceleration", "steering", "side_slip")
+HIDDEN = (
     _ARM,
+    ("sensors", "slip_sensor_ahead_m"),
     ("front_stiffness_n_rad",),
     ("rear_stiffness_n_rad",),
     ("friction",),
@@ -22,8 +24,12 @@ _HIDDEN = (
     ("process_noise", "side_slip_rad"),
     ("process_noise", "yaw_rate_rad_s"),
 )
-"""Without a reference nothing tells the tyres from side slip: these would take each other's errors,
-at a NIS of 1."""
+"""Where the drive does not tell the side slip, these take each other's errors, at a NIS of 1."""
+_STEADY = (
+    *HIDDEN,
+    *(("sensors", name, "offset") for name in _TURNING),
+)
+"""These take errors of the tyres as well, where a drive is a row of steady states."""
 _TELLING = ("side_slip", "course")
 _LATE = ("sensors", "lateral_acceleration", "delay_s")
 _SLIP_LATE = ("sensors", "side_slip", "delay_s")
@@ -42,26 +48,26 @@ class Heard(NamedTuple):
 
 
 def tells_slip(channels: Mapping[str, ChannelReadings], reference: SlipReference | None) -> bool:
-    """Whether a channel of the log, or the reference, tells the side slip."""
-    logged = any(name in channels and len(channels[name].values) for name in _TELLING)
-    return logged or _is_told(reference)
+    """Whether the drive tells its side slip, and the tyres by it.
+
+    A reference decides where there is one, also beside a slip sensor: a drive too slow for it shows
+    one steady state after another, and nothing of how the errors of the tyres move.
+    """
+    return any(map(_logged(channels), _TELLING)) if reference is None else reference.told <= SEEN
 
 
-def _is_told(reference: SlipReference | None) -> TypeGuard[SlipReference]:
-    return reference is not None and reference.told <= SEEN
+def _logged(channels: Mapping[str, ChannelReadings]) -> Callable[[str], bool]:
+    return lambda name: name in channels and len(channels[name].values) > 0
 
 
 def as_heard(heard: Heard, reference: SlipReference | None) -> Heard:
-    """Return the same with the reference where no side slip is logged, and what it lets seek."""
-    channels = heard.channels
-    if "side_slip" in channels and len(channels["side_slip"].values):
+    """Return the same with what the drive lets seek, and the reference for a slip not logged."""
+    if not tells_slip(heard.channels, reference):
+        left = HIDDEN if reference is None else _STEADY
+        return heard._replace(sought=tuple(one for one in heard.sought if one.path not in left))
+    if reference is None or _logged(heard.channels)("side_slip"):
         return heard
-    if _is_told(reference):
-        return _with_reference(heard, reference)
-    if tells_slip(channels, None):
-        return heard
-    sought = tuple(one for one in heard.sought if one.path not in _HIDDEN)
-    return heard._replace(sought=sought)
+    return _with_reference(heard, reference)
 
 
 def _with_reference(heard: Heard, reference: SlipReference) -> Heard:
