@@ -4,7 +4,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
@@ -31,6 +31,11 @@ UNITS = {
     "g": GRAVITY_M_S2,
 }
 """Factor from a unit to SI."""
+_ALIKE = (
+    ("s", "ms", "us"), ("m",), ("rad", "deg"), ("rad/s", "deg/s"), ("m/s", "km/h", "mph"),
+    ("m/s2", "g"),
+)  # fmt: skip
+"""Units of one quantity, that of SI first."""
 
 
 class Stamps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,8 +74,10 @@ class LogMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     Attributes:
         file: that holds a column which names no other.
         time: stamps of CSV columns which name no other.
+        si_units: of the quantities that can have no other unit.
     """
 
+    si_units: ClassVar[Mapping[str, str]] = {}
     file: str = "drive.csv"
     time: Stamps | None = None
 
@@ -87,7 +94,7 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
         yaw_rate = { column = "YawRate", unit = "deg/s" }
 
     Raises:
-        ValueError: not TOML, a field that is unknown or missing, or a unit that is not in `UNITS`.
+        ValueError: not TOML, a field that is unknown or missing, or a unit of another quantity.
     """
     try:
         columns = msgspec.convert(tomllib.loads(text), kind)
@@ -97,9 +104,11 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
         raise ValueError(f"the column map is not valid: {error}") from error
     times = {f"time of {name}": column.time for name, column in columns.columns.items()}
     for quantity, series in {"time": columns.time, **times, **columns.columns}.items():
-        if series is not None and series.unit not in UNITS:
+        wanted = "s" if quantity.startswith("time") else kind.si_units.get(quantity)
+        alike = next((some for some in _ALIKE if some[0] == wanted), tuple(UNITS))
+        if series is not None and series.unit not in alike:
             raise ValueError(
-                f"the column map gives {quantity} in {series.unit!r}; units are {', '.join(UNITS)}"
+                f"the column map gives {quantity} in {series.unit!r}; units are {', '.join(alike)}"
             )
     return columns
 

@@ -8,7 +8,7 @@ import csv
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,13 @@ class ColumnMap(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
     position the course counts from x, which is east where latitude and longitude are logged.
     """
 
+    si_units: ClassVar[Mapping[str, str]] = {
+        "yaw_rate": "rad/s",
+        **dict.fromkeys(("steering", "steering_wheel", "side_slip", "course", *_FIXES), "rad"),
+        **dict.fromkeys(("speed", "ground_speed", *(f"{one}_wheel" for one in _WHEELS)), "m/s"),
+        **dict.fromkeys(("lateral_acceleration", "longitudinal_acceleration"), "m/s2"),
+        **dict.fromkeys(POSITION_CHANNELS, "m"),
+    }
     yaw_rate: Column
     steering: Column | None = None
     steering_wheel: Column | None = None

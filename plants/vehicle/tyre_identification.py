@@ -221,5 +221,5 @@ def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m
         raise ValueError(
             f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s^2 at most, "
             "which tells nothing of the tyres; give a drive with fast curves of "
-            f"{_LEAST_CORNERING_M_S2:g} m/s^2 or more"
+            f"{_LEAST_CORNERING_M_S2:g} m/s^2 or more, or correct the units of the log"
         )

@@ -190,6 +190,8 @@ def test_what_spreadsheets_write_is_read_or_named(tmp_path: Path):
         ("time =", "not TOML"),
         ('time = { column = "t", unit = "s" }', "yaw_rate"),
         (MAP.replace('"ms"', '"fortnight"'), "units are s, ms"),
+        (MAP.replace('"deg/s"', '"km/h"'), "yaw_rate in 'km/h'; units are rad/s, deg/s"),
+        (MAP.replace('"ms"', '"m"'), "time in 'm'; units are s, ms, us"),
         (MAP.replace("steering_wheel", "steeringwheel"), "steeringwheel"),
         (MAP.replace('steering_wheel = { column = "wheel angle", unit = "deg" }', ""), "neither"),
         (MAP.replace('rear_left_wheel = { column = "rl", unit = "km/h" }', ""), "both rear wheels"),
