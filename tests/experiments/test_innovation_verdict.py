@@ -17,6 +17,7 @@ from concord.experiments.results.innovations.channel_test import ChannelTest
 from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
 from concord.experiments.results.innovations.of_run import channel_table, run_innovations
 from concord.experiments.results.innovations.sentence import innovation_verdict
+from concord.experiments.results.innovations.slip_evidence import SlipEvidence
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.run_verdict import consistency_in_words
 from concord.experiments.results.summary import Figures, lines, summarise
@@ -113,6 +114,55 @@ def test_the_last_line_does_not_clear_what_the_first_accuses():
         "at 99.5 %; use more --steps or --runs"
     )
     assert consistency_in_words(Interval(1.05, 1.01, 1.09)).startswith("neither")
+
+
+TOO_SMALL = OFF._replace(nis=Interval(0.5, 0.4, 0.6), spread=0.5)
+UNDER = Interval(0.5, 0.4, 0.6)
+OVER = Interval(2.9, 2.3, 3.7)
+
+
+def test_errors_lead_where_innovations_are_small():
+    """A verdict said "underconfident" of a car whose side slip had an ANEES of 2.9."""
+    of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
+    for found, slip, errors in (
+        (OVER, None, "ANEES is 2.9 where 1 is right"),
+        (UNKNOWN, SlipEvidence(OVER, False), "the side slip errs by more than the filter"),
+    ):
+        sentence = innovation_verdict(
+            scenario("vehicle-network"), of_readings, FITTING, found, found, slip=slip
+        )
+        assert sentence.startswith(f"overconfident: {errors}")
+        assert "innovations alone would say underconfident: NIS of node 2's yaw rate" in sentence
+
+
+@pytest.mark.parametrize(
+    ("anees", "words"),
+    [
+        (FITTING, "errs as the filter that hears everything claims (ANEES 1 where 1 is right, by"),
+        (Interval(0.3, 0.2, 0.4), "errs by less than the filter that hears everything claims"),
+    ],
+)
+def test_a_side_slip_that_is_no_worse_than_claimed_stands_at_the_end(anees, words: str):
+    nothing, slip = Diagnosis(Cause.NONE), SlipEvidence(anees, True)
+    given = scenario("vehicle-network"), nothing, FITTING, FITTING, FITTING
+    sentence = innovation_verdict(*given, slip=slip)
+    assert sentence.startswith("consistent: ")
+    assert words in sentence and sentence.endswith("by the logged one)")
+
+
+def test_process_noise_that_covers_the_tyres_is_no_wrong_claim():
+    """After `identify` innovations are smaller than claimed, where the side slip is as claimed."""
+    of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
+    given = scenario("vehicle-network"), of_readings, FITTING, FITTING, FITTING
+    sentence = innovation_verdict(*given, slip=SlipEvidence(FITTING, True))
+    assert sentence.startswith("consistent: the side slip errs as the filter")
+    assert "innovations alone would say underconfident: " in sentence
+    less = innovation_verdict(*given, slip=SlipEvidence(Interval(0.3, 0.2, 0.4), True))
+    assert less.startswith("underconfident: ")
+    # A rule that claims too little is at fault beside a filter that claims what it knows.
+    by_rule = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, UNDER, UNDER
+    sentence = innovation_verdict(*by_rule, slip=SlipEvidence(FITTING, True))
+    assert sentence.startswith("underconfident: models and sensors fit the readings, but rule")
 
 
 def test_an_offset_beside_another_cause_is_named_too():

@@ -8,7 +8,7 @@ from msgspec import structs
 from concord.experiments.identification.likelihood import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.experiments.identification.suspects import Suspect, suspect
-from concord.experiments.identification.without_slip import Heard, as_heard
+from concord.experiments.identification.without_slip import HIDDEN, tells_slip
 from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.parameters import Car, ProcessNoise
@@ -23,8 +23,8 @@ LONGEST_S = 30.0
 def log_cause(setup: Setup, counted: np.ndarray) -> str:
     """The sentence on the cause, from the steps (S,) that count.
 
-    Empty without a log of a car, and where no value of its file is wrong beyond chance. Without
-    side slip it names no value that covers errors of the tyres.
+    Empty without a log of a car, and where no value of its file is wrong beyond chance. A log
+    without side slip does not tell values of the tyres from those that cover their errors.
     """
     plant = setup.scenario.plant
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
@@ -36,8 +36,15 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
     log = replace(log, readings=log.readings[:end], counted=log.counted[:end] & counted[:end])
     ratio = not logs_road_wheels(plant.data)
     every = sought_of(channels, car, friction=False, ratio=ratio)
-    found = suspect(log, car, tanh_tyre, as_heard(Heard(channels, car, every), None).sought)
-    return "" if found is None else in_words(found, plant.data)
+    found = suspect(log, car, tanh_tyre, every)
+    if found is None:
+        return ""
+    if found.sought.path in HIDDEN and not tells_slip(channels, None):
+        return (
+            f"of single values of car.toml, {found.sought.name} explains most, but a log without "
+            f"side slip does not tell it from errors of the tyres; {_cure(plant.data)}"
+        )
+    return in_words(found, plant.data)
 
 
 def _times(car: Car, factor: float) -> ProcessNoise:
@@ -51,5 +58,9 @@ def in_words(found: Suspect, data: str) -> str:
     return (
         f"of single values of car.toml, {found.sought.name} explains most: {found.value:.3g}"
         f"{interval} {found.sought.unit}".rstrip()
-        + f" in place of {found.before:.3g}; `concord identify --data {data}` fits all"
+        + f" in place of {found.before:.3g}; {_cure(data)}"
     )
+
+
+def _cure(data: str) -> str:
+    return f"`concord identify --data {data}` fits all"

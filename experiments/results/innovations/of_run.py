@@ -18,12 +18,13 @@ from concord.experiments.results.innovations.figures import (
     nis_per_step,
     outside_model,
 )
-from concord.experiments.results.innovations.log_cause import log_cause
+from concord.experiments.results.innovations.log_cause import LONGEST_S, log_cause
 from concord.experiments.results.innovations.sentence import (
     ESTIMATES_CONFIDENCE,
     innovation_verdict,
     outside_in_words,
 )
+from concord.experiments.results.innovations.slip_evidence import slip_evidence
 from concord.experiments.results.run_verdict import anees_interval
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
@@ -98,8 +99,12 @@ def judged(
     figures = msgspec.structs.replace(figures, outside=outside.shares)
     nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
     suspicion = _interval_of(nees, 0.95)
-    named = log_cause(setup, counted[0]) if len(counted) == 1 else ""
-    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, named)
+    named, slip = "", None
+    if len(counted) == 1:
+        named = log_cause(setup, counted[0])
+        belief = Gaussian(*(values[0] for values in heard.belief))
+        slip = slip_evidence(setup, belief, counted[0], LONGEST_S, ESTIMATES_CONFIDENCE)
+    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, named, slip)
     return figures, sentence + outside_in_words(outside.shares)
 
 

@@ -10,6 +10,7 @@ from concord.experiments.results.innovations.diagnosis import (
     Channel,
     Diagnosis,
 )
+from concord.experiments.results.innovations.slip_evidence import SlipEvidence
 from concord.experiments.results.run_verdict import beyond
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import UnscentedFilter
@@ -59,6 +60,7 @@ def innovation_verdict(
     anees: Interval,
     suspicion: Interval,
     named: str = "",
+    slip: SlipEvidence | None = None,
 ) -> str:
     """The verdict, computed from the diagnosis and from the nodes' own figures.
 
@@ -66,20 +68,43 @@ def innovation_verdict(
     `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
     95 % interval that the run's figures show. `named` is the cause in the file of a logged car,
     where one was found (`log_cause`); it takes the place of the cause that channels point to.
+    `slip` judges the errors of its side slip, where the log tells them.
     """
     if diagnosis.cause is Cause.UNKNOWN:
         return (
             f"too few readings to judge; no channel has {LEAST_UPDATES} in the scored "
             "steps, so use more --steps"
         )
-    if diagnosis.cause is Cause.NONE:
-        said = _of_estimates(scenario, nis, anees, suspicion)
-        return f"{said}; yet {named}" if named else said
+    if diagnosis.cause is not Cause.NONE:
+        return _beside_errors(*_of_readings(scenario, diagnosis, named), anees, slip)
+    lead, said = _of_estimates(scenario, nis, anees, suspicion)
+    said += f"; yet {named}" if named else ""
+    if lead == "underconfident":  # the fault of the rule, not of the filter that hears everything
+        return f"{lead}: {said}"
+    return _beside_errors(lead, said, anees, slip)
+
+
+def _beside_errors(lead: str, said: str, anees: Interval, slip: SlipEvidence | None) -> str:
+    """The verdict on readings, unless errors of estimates show more, or another confidence."""
+    found = anees if slip is None else slip.anees
+    errors = f"ANEES is {_short(anees.value)} where 1 is right" if slip is None else slip.in_words()
+    claims = beyond(found)
+    if lead != "overconfident" and claims == "overconfident":
+        return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
+    if slip is None:
+        return f"{lead}: {said}"
+    if lead == "underconfident" and not claims:
+        return f"consistent: {errors}; innovations alone would say {lead}: {said}"
+    return f"{lead}: {said}; {errors}"
+
+
+def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[str, str]:
     assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
     test = diagnosis.test
+    lead = _lead(diagnosis.cause, test)
     figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
     if named:
-        return f"{_lead(diagnosis.cause, test)}: {figures}; {named}"
+        return lead, f"{figures}; {named}"
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
         figures=figures,
         mean=_mean(test, diagnosis.channel),
@@ -95,7 +120,7 @@ def innovation_verdict(
     if diagnosis.shifted is not None and diagnosis.shifted[0] != diagnosis.channel:
         channel, off = diagnosis.shifted
         said += f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
-    return f"{_lead(diagnosis.cause, test)}: {said}"
+    return lead, said
 
 
 def outside_in_words(shares: dict[str, float] | None) -> str:
@@ -125,29 +150,31 @@ def _lead(cause: Cause, test: ChannelTest) -> str:
     return "biased" if cause is Cause.OFFSET else "coloured"
 
 
-def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval, suspicion: Interval) -> str:
+def _of_estimates(
+    scenario: Scenario, nis: Interval, anees: Interval, suspicion: Interval
+) -> tuple[str, str]:
     fits = "models and sensors fit the readings"
     for name, found in (("ANEES", anees), ("NIS", nis)):
         shown = f"{name} {_short(found.value)} where 1 is right"
         if confidence := beyond(found):
             claims = "too much" if confidence == "overconfident" else "too little"
-            return f"{confidence}: {fits}, but rule {scenario.rule.name} claims {claims} ({shown})"
+            return confidence, f"{fits}, but rule {scenario.rule.name} claims {claims} ({shown})"
     doubt = beyond(suspicion)
     if doubt:
         side = "above" if doubt == "overconfident" else "below"
-        return (
-            f"undecided: {fits}, but ANEES {_short(anees.value)} is {side} 1 at 95 % and not at "
+        return "undecided", (
+            f"{fits}, but ANEES {_short(anees.value)} is {side} 1 at 95 % and not at "
             f"{100 * ESTIMATES_CONFIDENCE:g} %; use more --steps or --runs"
         )
     figures = (("NIS", nis), ("ANEES", anees))
     judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
-    said = f"consistent: {fits}"
+    said = fits
     if judged:
         said += f" ({', '.join(judged)} where 1 is right)"
     for name, found in figures:
         if np.isnan(found.low) and not np.isnan(found.value):
             said += f"; too few scored steps to judge {name} {_short(found.value)}"
-    return said
+    return "consistent", said
 
 
 def _mean(test: ChannelTest, channel: Channel) -> str:

@@ -1,0 +1,111 @@
+"""How far the side slip of a logged car errs beyond its claim, which no innovation tells.
+
+Errors of the tyres last longer than a step, so the filter takes them for side slip and innovations
+stay small. A logged side slip shows them. So does the one to which yaw rate and lateral
+acceleration add up (`slip_reference`), where the drive tells it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.experiments.identification.slip_reference import SlipReference, slip_reference
+from concord.experiments.identification.sought import SEEN
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.results.run_verdict import anees_interval, beyond
+from concord.filters.gaussian import Gaussian
+from concord.plants.recorded.channels import ChannelReadings, grid_over
+from concord.plants.vehicle.corrections import corrected, with_true_wheels
+from concord.plants.vehicle.drive_log import even_drive, read_log, speeds_in
+from concord.plants.vehicle.model import tanh_tyre
+from concord.plants.vehicle.network import SIDE_SLIP
+from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, identify
+from concord.plants.vehicle.validity import SLOWEST_M_S
+from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import VehicleNetwork
+
+_ERRS = {"overconfident": "by more than", "underconfident": "by less than", "": "as"}
+
+
+class SlipEvidence(NamedTuple):
+    """ANEES of the side slip of the filter that hears everything, beside the logged side slip, or
+    beside a reference."""
+
+    anees: Interval
+    logged: bool
+
+    def in_words(self) -> str:
+        """ "the side slip errs by more than ... claims (ANEES 2.9 where 1 is right, by ...)" """
+        by = "the logged one" if self.logged else "what yaw rate and lateral acceleration add up to"
+        return (
+            f"the side slip errs {_ERRS[beyond(self.anees)]} the filter that hears everything "
+            f"claims (ANEES {self.anees.value:.3g} where 1 is right, by {by})"
+        )
+
+
+def slip_evidence(
+    setup: Setup, belief: Gaussian, counted: np.ndarray, longest_s: float, confidence: float
+) -> SlipEvidence | None:
+    """Judge the beliefs (S, n) of the filter that hears everything, in the steps (S,) that count.
+
+    None without a log of a car, and where the log does not tell the side slip. A reference is
+    sought in the first `longest_s` from the first step that counts. It shares errors with the
+    filter, so it shows that a claim is too small, and never that one is right or too large.
+    """
+    plant = setup.scenario.plant
+    if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
+        return None
+    channels, car = read_log(plant.data)
+    logged = "side_slip" in channels and len(channels["side_slip"].values) > 0
+    if logged:
+        truth = definition_of(setup.scenario).plant(setup.scenario).truth[: len(counted)]
+        squares = scored_nees(setup.scenario, belief.mean - truth, belief.cov)
+    else:
+        grid = grid_over(corrected(channels, car.sensors), setup.time_step_s)
+        times_s = grid.instants_s[: len(counted)]
+        start_s = times_s[np.argmax(counted)]
+        reference = _reference(_cut(channels, start_s, start_s + longest_s), car)
+        if reference is None or reference.told > SEEN:
+            return None
+        squares = _squares(belief, reference, times_s)
+    found = anees_interval(np.where(counted, squares, np.nan), confidence)
+    if np.isnan(found.low) or not (logged or beyond(found) == "overconfident"):
+        return None
+    return SlipEvidence(found, logged)
+
+
+def _cut(
+    channels: dict[str, ChannelReadings], start_s: float, end_s: float
+) -> dict[str, ChannelReadings]:
+    """The readings between two stamps, of channels that have some."""
+    within = {
+        name: (one.stamps_s >= start_s) & (one.stamps_s <= end_s) for name, one in channels.items()
+    }
+    return {
+        name: ChannelReadings(one.stamps_s[within[name]], one.values[within[name]])
+        for name, one in channels.items()
+        if within[name].any()
+    }
+
+
+def _reference(channels: dict[str, ChannelReadings], car: Car) -> SlipReference | None:
+    if not {"yaw_rate", "steering"} <= channels.keys() or not speeds_in(channels):
+        return None
+    drive = even_drive(with_true_wheels(channels, car.sensors), MODEL_STEP_S)
+    try:
+        tyres = identify(drive, car, tanh_tyre, min_speed_m_s=SLOWEST_M_S)
+    except ValueError:  # the drive tells nothing of the tyres
+        return None
+    return slip_reference(channels, tyres, tanh_tyre)
+
+
+def _squares(belief: Gaussian, reference: SlipReference, times_s: np.ndarray) -> np.ndarray:
+    """Squared differences (S,) over the variances of both; NaN outside the reference."""
+    stamps_s, values = reference.readings
+    within = (times_s >= stamps_s[0]) & (times_s <= stamps_s[-1])
+    error = belief.mean[:, SIDE_SLIP] - np.interp(times_s, stamps_s, values)
+    std = np.interp(times_s, stamps_s, reference.std_rad)
+    squares = np.square(error) / (belief.cov[:, SIDE_SLIP, SIDE_SLIP] + np.square(std))
+    return np.where(within, squares, np.nan)
