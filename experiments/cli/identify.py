@@ -371,12 +371,13 @@ def _of_side_slip(f: Findings) -> Iterator[str]:
             "This drive does not tell the side slip, nor how far the tyres err: its ANEES may be "
             "far from 1. Log the side slip, or drive a serpentine."
         )
-    elif any(one.name == "rear stiffness" and not one.seen for one in f.parameters):
+        return
+    if any(one.name == "rear stiffness" and not one.seen for one in f.parameters):
         yield (
             "This drive changes its side slip too slowly to tell the tyres, or how their errors "
             "move. Drive a serpentine."
         )
-    elif f.side_slip_factor is not None and f.side_slip_factor > 1:
+    if f.side_slip_factor is not None and f.side_slip_factor > 1:
         yield (
             f"The car has {f.side_slip_factor:.2g} times the process noise of side slip that was "
             "found: errors of the tyres last longer than a step, and other drives have others. "
