@@ -5,7 +5,8 @@ stay small. A logged side slip shows them. So does the one to which yaw rate and
 acceleration add up (`slip_reference`), where the drive tells it.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,8 +61,9 @@ def slip_evidence(
     channels, car = read_log(plant.data)
     logged = "side_slip" in channels and len(channels["side_slip"].values) > 0
     if logged:
-        truth = definition_of(setup.scenario).plant(setup.scenario).truth[: len(counted)]
-        squares = scored_nees(setup.scenario, belief.mean - truth, belief.cov)
+        drive: Any = definition_of(setup.scenario).plant(setup.scenario)
+        error = belief.mean - drive.truth[: len(counted)]
+        squares = scored_nees(setup.scenario, error, belief.cov)
     else:
         grid = grid_over(corrected(channels, car.sensors), setup.time_step_s)
         times_s = grid.instants_s[: len(counted)]
@@ -77,7 +79,7 @@ def slip_evidence(
 
 
 def _cut(
-    channels: dict[str, ChannelReadings], start_s: float, end_s: float
+    channels: Mapping[str, ChannelReadings], start_s: float, end_s: float
 ) -> dict[str, ChannelReadings]:
     """The readings between two stamps, of channels that have some."""
     within = {
