@@ -1,4 +1,4 @@
-"""What a drive tells of the side slip: channels that the fit hears, and values that it leaves."""
+"""The side slip that a drive tells: channels that the fit hears, and values that it leaves."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
