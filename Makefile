@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
-		--schedule dynamic --occupancy 0.25 --number float16 --driver processes
+		--rule sharp-ci --schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
 # A worker for each processor; the tests of a file stay together. The long tests often wait for
 # processes and clocks, so three workers share two processors.

@@ -4,7 +4,7 @@
 
 The script takes every option of `concord run`, including --dashboard. It stops its processes on
 Ctrl-C, SIGTERM or a crash. Unless options choose a bus, a quarter of the nodes publish in a cycle,
-by urgency, in two bytes a number: the network of `make demo`.
+by urgency, in two bytes a number, and average by the rule `sharp-ci`: the network of `make demo`.
 """
 
 import sys
@@ -14,7 +14,7 @@ from concord.experiments.__main__ import main
 
 _BUS = {"--schedule", "--occupancy", "--bus", "--cluster", "--arbiter", "--trigger"}
 _LIMITED = ("--schedule", "dynamic", "--occupancy", "0.25")
-_SHORT = ("--number", "float16")
+_RULE = ("--rule", "sharp-ci", "--number", "float16")
 
 
 def with_defaults(asked: Sequence[str]) -> list[str]:
@@ -27,7 +27,7 @@ def with_defaults(asked: Sequence[str]) -> list[str]:
     found = list(asked)
     scenario = words[words.index("--scenario") + 1 :][:1] if "--scenario" in names else []
     if not names & _BUS and scenario in ([], ["target-tracking"], ["target-crossing"]):
-        found = [*_LIMITED, *([] if names & {"--rule", "--number"} else _SHORT), *found]
+        found = [*_LIMITED, *([] if names & {"--rule", "--number"} else _RULE), *found]
     return found if "--driver" in names else ["--driver", "processes", *found]
 
 

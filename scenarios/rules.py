@@ -10,6 +10,7 @@ from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Directly
 from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from concord.filters.fusion.local import keep_own
+from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.network import BatchedRule
@@ -315,6 +316,7 @@ _RULES: dict[str, Rule] = {
         partial(averaging, INFORMATION),
         partial(beliefs_in_batch, INFORMATION),
     ),
+    "sharp-ci": _once(BELIEFS, partial(averaging, SharpIntersection())),
     "trimmed-ci": _once(
         BELIEFS,
         trimmed,

@@ -44,7 +44,9 @@ _CERTAIN = ("ellipsoid", "zonotope")
 _OFTEN = {"ci": 5, "hcmci": 4, "labelled": 5, "wac": 3, "trimmed-ci": 3}
 # Rules that only scenarios of their own have.
 _OWN = ("reception", "track-ci", *_CERTAIN)
-_RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN}}
+# It takes some cases of ci, so that the others are drawn as ever.
+_SHARP = "sharp-ci"
+_RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN, _SHARP}}
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")
 _HOLDS_OF_SETS = {"decayed": "predict", "renormalise": "drop", "in-step": "drop"}
@@ -168,6 +170,8 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         asked["channels"] = str(apart.choice(["all", "all", "A", "split", "mixed"]))
     if name in (*_LINEAR, "liu2021-network"):
         asked["control"] = one("truth", "0", "1")
+    if rule == "ci" and generator.spawn(1)[0].random() < 1 / 3:
+        asked["rule"] = _SHARP
     return scenario_with_known(name, **asked)[0]
 
 

@@ -49,6 +49,10 @@ class CovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="ci"):
     """Covariance intersection: consistent for any correlation, never less tight than wac."""
 
 
+class SharpIntersection(AverageRule, frozen=True, kw_only=True, tag="sharp-ci"):
+    """ci with weights that go to the sharper beliefs of a neighbourhood: consistent, less error."""
+
+
 class WeightedAverage(AverageRule, frozen=True, kw_only=True, tag="wac"):
     """Weighted average of means and covariances (the paper's): no inverse, may diverge."""
 
@@ -221,6 +225,7 @@ class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
 
 RuleChoice = (
     CovarianceIntersection
+    | SharpIntersection
     | TrimmedCovarianceIntersection
     | WeightedAverage
     | HybridConsensus
