@@ -26,9 +26,9 @@ class SharpIntersection(NamedTuple):
 
     Fails: as `covariance_intersection`.
 
-    Sources: Titterington (1976), Algorithms for computing D-optimal designs on a finite design
-    space (the step); Yu (2010), Monotonic convergence of a general algorithm for computing optimal
-    designs, Annals of Statistics 38(3); Julier and Uhlmann (1997) (the determinant as aim).
+    Sources: the step is that of Titterington (1976), Algorithms for computing D-optimal designs.
+    Yu (2010), Annals of Statistics 38(3), proves that it is monotonic. The determinant as aim is of
+    Julier and Uhlmann (1997).
     """
 
     def fuse(
