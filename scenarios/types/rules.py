@@ -49,7 +49,7 @@ class CovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="ci"):
     """Covariance intersection: consistent for any correlation, never less tight than wac."""
 
 
-class SharpIntersection(AverageRule, frozen=True, kw_only=True, tag="sharp-ci"):
+class SharpCovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="sharp-ci"):
     """ci with weights that go to the sharper beliefs of a neighbourhood: consistent, less error."""
 
 
@@ -225,7 +225,7 @@ class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
 
 RuleChoice = (
     CovarianceIntersection
-    | SharpIntersection
+    | SharpCovarianceIntersection
     | TrimmedCovarianceIntersection
     | WeightedAverage
     | HybridConsensus
