@@ -5,6 +5,7 @@ looked at later says whether the target exists. So a node that cannot see a targ
 nothing, and the end of a target reaches nodes that cannot see it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,13 @@ from concord.filters.association.weights import Weights
 from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import inverse_spd, multiply
+from concord.filters.tracking.tracker import Scan, TrackerSettings, track
 from concord.filters.tracking.tracks import REPORTED_FROM, Tracks, joined_tracks
 
+LOOKS_FROM = 0.1
+"""Detection probability from which a scan is a look at a place."""
+ENDED_STEPS = 8
+"""Steps in which nodes tell of the end of a track."""
 GATE = 18.47
 """Greatest squared Mahalanobis distance of two tracks of one target: that of 0.999 for 4 states."""
 _LEAST = 1e-6
@@ -31,6 +37,46 @@ class LookedAt(NamedTuple):
     def chosen(self, which: np.ndarray) -> "LookedAt":
         """Return those of an index or a mask."""
         return LookedAt(self.tracks.chosen(which), self.looked[which])
+
+
+def tracked_on(
+    before: LookedAt, scans: Sequence[Scan], settings: TrackerSettings, step: int
+) -> tuple[LookedAt, int]:
+    """The tracks one step later, and how many clusters were beyond the bound of the exact sum.
+
+    A confirmed track that these scans end stays for some steps with existence 0, so that nodes that
+    cannot see its place hear of the end.
+    """
+    alive = before.tracks.existence >= settings.end_below
+    tracks, approximated = track(before.tracks.chosen(alive), scans, settings, step)
+    labels = tracks.identity.tolist()
+    last = {
+        tuple(label): looked
+        for label, looked in zip(before.tracks.identity.tolist(), before.looked, strict=True)
+    }
+    known = LookedAt(tracks, np.array([last.get(tuple(one), step) for one in labels], dtype=int))
+    known = known._replace(looked=_looks(known, scans, step))
+    gone = [label not in labels for label in before.tracks.identity.tolist()]
+    ended = np.array(gone, dtype=bool) & before.tracks.confirmed
+    looked = np.where(alive, _looks(before, scans, step), before.looked)
+    ended &= np.where(alive, looked == step, looked > step - ENDED_STEPS)
+    over = before.tracks._replace(existence=np.zeros(len(gone)))
+    return _joined(known, LookedAt(over, looked).chosen(ended)), approximated
+
+
+def _looks(known: LookedAt, scans: Sequence[Scan], step: int) -> np.ndarray:
+    """The steps (T,) of the last looks, given the scans of a step."""
+    looked, mean = known.looked, known.tracks.belief.mean
+    for scan in scans:
+        looked = np.where(scan.sensor.detection_probability(mean) >= LOOKS_FROM, step, looked)
+    return looked
+
+
+def _joined(one: LookedAt, more: LookedAt) -> LookedAt:
+    """Both, in the order of their labels."""
+    tracks = joined_tracks(one.tracks, more.tracks)
+    looked = np.concatenate((one.looked, more.looked))
+    return LookedAt(tracks, looked).chosen(np.lexsort(tracks.identity.T[::-1]))
 
 
 def fused_tracks(own: LookedAt, heard: LookedAt) -> LookedAt:
@@ -52,11 +98,7 @@ def fused_tracks(own: LookedAt, heard: LookedAt) -> LookedAt:
     known = np.asarray(same.any(axis=0))
     known[theirs] = True
     new = heard.chosen(~known & (heard.tracks.existence >= REPORTED_FROM))
-    tracks, looked = left
-    for more in (pairs._replace(tracks=labelled), new):
-        tracks = joined_tracks(tracks, more.tracks)
-        looked = np.concatenate((looked, more.looked))
-    return LookedAt(tracks, looked).chosen(np.lexsort(tracks.identity.T[::-1]))
+    return _joined(_joined(left, pairs._replace(tracks=labelled)), new)
 
 
 def _distances(own: Tracks, heard: Tracks) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
-"""Tracks as the bytes of a share: label, last look, existence, and belief in two-byte numbers."""
+"""A share of tracks as bytes: label, last look, existence and belief of each, then a scan."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,18 +12,29 @@ from concord.filters.tracking.track_fusion import LookedAt
 from concord.filters.tracking.tracks import Tracks
 from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.share_forms import TwoByteBelief
+from concord.nodes.tracking.scan_codec import ScanCodec
 
 _COUNT_BYTES = 1
+# In the place of the number of detections, of which a scan has fewer.
+_NO_SCAN = b"\xff"
 _OLDEST = 255
 _CERTAIN = 2**16 - 1
 
 
+class TrackShare(NamedTuple):
+    """The tracks of a node, and the record of its scan of this step; None where it has none."""
+
+    known: LookedAt
+    record: bytes | None
+
+
 @dataclass(frozen=True)
 class TrackCodec:
-    """How confirmed tracks of `states` states are written: at most `most` of them."""
+    """How a share is written: at most `most` confirmed tracks of `states` states, and a scan."""
 
     states: int
     most: int
+    scans: ScanCodec
 
     @cached_property
     def _form(self) -> TwoByteBelief:
@@ -37,10 +49,11 @@ class TrackCodec:
     @property
     def size(self) -> int:
         """Length in bytes of the longest share."""
-        return _COUNT_BYTES + self.most * self._row.itemsize
+        return _COUNT_BYTES + self.most * self._row.itemsize + self.scans.size_max
 
-    def encode(self, shared: LookedAt, step: int) -> bytes:
-        """The bytes of confirmed tracks at a step, of those that most probably exist."""
+    def encode(self, share: TrackShare, step: int) -> bytes:
+        """The bytes of a share at a step, with the tracks that most probably exist."""
+        shared, record = share
         likely = np.argsort(-shared.tracks.existence, kind="stable")[: self.most]
         tracks, looked = shared.chosen(np.sort(likely))
         rows = np.zeros(len(looked), self._row)
@@ -48,17 +61,23 @@ class TrackCodec:
         rows["age"] = np.minimum(step - looked, _OLDEST)
         rows["existence"] = np.rint(tracks.existence * _CERTAIN)
         rows["belief"] = self._form.codes(belief_numbers(tracks.belief))
-        return bytes((len(rows),)) + rows.tobytes()
+        return bytes((len(rows),)) + rows.tobytes() + (_NO_SCAN if record is None else record)
 
-    def decode(self, body: bytes, step: int) -> LookedAt:
-        """The tracks that `encode` wrote in the same step.
+    def decode(self, body: bytes, step: int) -> TrackShare:
+        """The share that `encode` wrote in the same step.
 
         Raises:
             Rejected: `tracks-length`, `tracks-label` for a label twice, or `tracks-belief`.
         """
-        end = _COUNT_BYTES + (body[0] if body else 0) * self._row.itemsize
-        if not _COUNT_BYTES <= end <= min(len(body), self.size):
+        count = body[0] if body else 0
+        end = _COUNT_BYTES + count * self._row.itemsize
+        if count > self.most or len(body) <= end:
             raise Rejected("tracks-length")
+        rest, record = body[end:], None
+        if rest[:1] != _NO_SCAN:
+            record = rest[: self.scans.length(rest)]
+            if len(record) < self.scans.length(rest):
+                raise Rejected("tracks-length")
         rows = np.frombuffer(body[_COUNT_BYTES:end], self._row)
         labels = [rows[name].astype(int) for name in ("step", "sensor", "place")]
         identity = np.stack(labels, axis=-1)
@@ -69,6 +88,5 @@ class TrackCodec:
             raise Rejected("tracks-belief")
         confirmed = np.ones(len(rows), dtype=bool)
         existence = rows["existence"] / _CERTAIN
-        return LookedAt(
-            Tracks(belief, existence, identity, confirmed), step - rows["age"].astype(int)
-        )
+        tracks = Tracks(belief, existence, identity, confirmed)
+        return TrackShare(LookedAt(tracks, step - rows["age"].astype(int)), record)

@@ -1,6 +1,5 @@
 """The rule `labelled` of `target-swarm`: nodes flood their scans, and track by all of them."""
 
-import dataclasses
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.filters.gaussian import Gaussian
-from concord.filters.tracking.tracker import Scan, Tracked, track
+from concord.filters.tracking.tracker import Tracked, track
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import Links
@@ -25,12 +24,12 @@ from concord.nodes.tracking.scan_flooding import (
     StepRecords,
     TrackStep,
 )
-from concord.plants.scanning import ScanningSensor
 from concord.scenarios.definitions.swarm_tracking import (
     STATES,
     UNDETECTED,
     model_of,
     plant_of,
+    scans_of,
     settings_of,
 )
 from concord.scenarios.filters import build_filter
@@ -95,35 +94,17 @@ def new_tracker(
 
     `arrival` draws an order of scans and detections, on which nothing may depend.
     """
-    codec, settings = _scan_codec(scenario), settings_of(scenario)
-    sensors = [_as_read(one, codec) for one in plant_of(scenario).sensors]
+    settings = settings_of(scenario)
+    scan = scans_of(scenario, _scan_codec(scenario))
 
     def after(before: Tracked, step: int, records: StepRecords) -> Tracked:
-        scans = [_scan(codec, sensors[source], source, record) for source, record in records]
+        scans = [scan(source, record) for source, record in records]
         if arrival is not None:
             arrival.shuffle(scans)
             scans = [one._replace(detections=arrival.permutation(one.detections)) for one in scans]
         return track(before.tracks, scans, settings, step)
 
     return KeptTracks(after, window_steps + _LEAD_STEPS)
-
-
-def _scan(codec: ScanCodec, sensor: ScanningSensor, source: int, record: bytes) -> Scan:
-    detections = codec.detections(record)
-    if len(detections) == codec.readings:
-        # Farther ones may have found no room in the record.
-        sensor = dataclasses.replace(sensor, reach_m=float(detections[:, 0].max()))
-    return Scan(source, sensor, detections)
-
-
-def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
-    """Return the sensor of detections that were rounded."""
-    range_std_m, bearing_std_rad = np.sqrt(np.diagonal(sensor.noise_cov + codec.rounding_cov))
-    exact = sensor.sensor
-    rounded = dataclasses.replace(
-        exact, range_std_m=float(range_std_m), bearing_std_rad=float(bearing_std_rad)
-    )
-    return dataclasses.replace(sensor, sensor=rounded)
 
 
 def _flooding_parts(setup: Setup, bus: Bus) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The trackers of `target-swarm`: their models, and the tracker that has all scans at once."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from typing import Any
 
@@ -12,6 +13,7 @@ from concord.filters.interacting_models import Mode
 from concord.filters.sigma_points import cubature
 from concord.filters.tracking.tracker import Scan, Tracked, TrackerSettings, track
 from concord.filters.tracking.tracks import number_of_targets
+from concord.nodes.tracking.scan_codec import ScanCodec
 from concord.plants.linear import LinearModel
 from concord.plants.motion import TURN_RATE, ConstantVelocity, CoordinatedTurn, Motion
 from concord.plants.placement import place_sensors, sites
@@ -105,6 +107,30 @@ def settings_of(scenario: Scenario) -> TrackerSettings:
     """
     chosen = swarm_of(scenario)
     return _settings(chosen.association, chosen.clutter, scenario.filter)
+
+
+def scans_of(scenario: Scenario, codec: ScanCodec) -> Callable[[int, bytes], Scan]:
+    """Return what the record of a node means: its scan, by a sensor that knows of the rounding."""
+    sensors = [_as_read(one, codec) for one in plant_of(scenario).sensors]
+
+    def scan(node: int, record: bytes) -> Scan:
+        sensor, detections = sensors[node], codec.detections(record)
+        if len(detections) == codec.readings:
+            # Farther ones may have found no room in the record.
+            sensor = dataclasses.replace(sensor, reach_m=float(detections[:, 0].max()))
+        return Scan(node, sensor, detections)
+
+    return scan
+
+
+def _as_read(sensor: ScanningSensor, codec: ScanCodec) -> ScanningSensor:
+    """Return the sensor of detections that were rounded."""
+    range_std_m, bearing_std_rad = np.sqrt(np.diagonal(sensor.noise_cov + codec.rounding_cov))
+    exact = sensor.sensor
+    rounded = dataclasses.replace(
+        exact, range_std_m=float(range_std_m), bearing_std_rad=float(bearing_std_rad)
+    )
+    return dataclasses.replace(sensor, sensor=rounded)
 
 
 def tracked_alone(

@@ -1,10 +1,17 @@
-"""The rule `track-ci` of `target-swarm`: nodes track by their own scans, and share their tracks."""
+"""The rule `track-ci` of `target-swarm`: nodes track by the scans of their neighbourhood, and
+share their tracks."""
 
 from concord.bus.bus import Bus
+from concord.nodes.tracking.scan_codec import scan_codec
 from concord.nodes.tracking.track_codec import TrackCodec
 from concord.nodes.tracking.track_exchange import TrackExchange
 from concord.plants.scanned_swarm import TARGET_STATES
-from concord.scenarios.definitions.swarm_tracking import UNDETECTED, plant_of, settings_of
+from concord.scenarios.definitions.swarm_tracking import (
+    UNDETECTED,
+    plant_of,
+    scans_of,
+    settings_of,
+)
 from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring
@@ -12,20 +19,27 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.rules import TrackIntersection
 
+_SCAN_BYTES = 64
+"""Room for a scan in a share: 31 detections."""
+
 
 def _codec(scenario: Scenario) -> TrackCodec:
     assert isinstance(scenario.rule, TrackIntersection), "the table of rules chose it"
-    return TrackCodec(TARGET_STATES, scenario.rule.most_tracks)
+    sensor = plant_of(scenario).sensors[0]
+    scans = scan_codec(*sensor.span(), sensor.sensor.noise_std, _SCAN_BYTES)
+    return TrackCodec(TARGET_STATES, scenario.rule.most_tracks, scans)
 
 
 def _estimator(setup: Setup, node: int, bus: Bus, beginning: Beginning) -> TrackExchange:
+    codec = _codec(setup.scenario)
     return TrackExchange(
         node,
-        len(setup.neighbours[node]),
-        plant_of(setup.scenario).sensors[node],
+        tuple(setup.neighbours[node]),
+        scans_of(setup.scenario, codec.scans),
         settings_of(setup.scenario),
-        _codec(setup.scenario),
+        codec,
         UNDETECTED,
+        setup.scenario.rounds,
         beginning.step,
     )
 

@@ -5,7 +5,9 @@ import pytest
 
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
+from concord.filters.tracking.tracker import Scan
 from concord.nodes.messages import Measured, to_wire
+from concord.nodes.tracking.scan_codec import ScanCodec
 from concord.nodes.tracking.track_exchange import TrackContent, TrackExchange
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.scanned_swarm import write_scan
@@ -23,18 +25,27 @@ from tests.experiments.test_swarm_network import (
 
 SHARED = {"nodes": 6, "targets": 3, "steps": 12, "clutter": 3, "rounds": 2, "rule": "track-ci"}
 APART_M = 800.0
+SENSORS = tuple(
+    ScanningSensor(RangeBearing(np.array([x_m, 0.0])), detection=0.95, clutter=2.0)
+    for x_m in (0.0, APART_M)
+)
 
 
 def pair() -> list[TrackExchange]:
     """Two nodes that hear each other, and whose fields of view of 350 m have nothing in common."""
-    setup = prepare(scenario_of("target-swarm", nodes=2, graph="complete", rule="track-ci"))
+    setup = prepare(
+        scenario_of("target-swarm", nodes=2, graph="complete", rule="track-ci", rounds=1)
+    )
     found = []
     for node in range(2):
         estimator = build_node(setup, node).estimator
         assert isinstance(estimator, TrackExchange)
-        place = np.array([node * APART_M, 0.0])
-        sensor = ScanningSensor(RangeBearing(place), detection=0.95, clutter=2.0)
-        found.append(TrackExchange(**{**vars(estimator), "sensor": sensor}))
+        codec = estimator.codec.scans
+
+        def scan(source: int, record: bytes, codec: ScanCodec = codec) -> Scan:
+            return Scan(source, SENSORS[source], codec.detections(record))
+
+        found.append(TrackExchange(**{**vars(estimator), "scan": scan}))
     return found
 
 
@@ -48,9 +59,8 @@ def followed(
         truth = np.array([[100 + 4.0 * step, 4, 50, 0], [APART_M + 90, 0, 60 + 3.0 * step, 3]])
         truth[0] = np.nan if step > last else truth[0]
         for place, node in enumerate(nodes):
-            assert isinstance(node.sensor, ScanningSensor)
             rows = np.full((40, 2), np.nan)
-            write_scan(rows, node.sensor.scan(truth, generator))
+            write_scan(rows, SENSORS[place].scan(truth, generator))
             contents[place], _ = node.begin_step(
                 contents[place], Measured(place, step, to_wire(rows))
             )
@@ -97,9 +107,24 @@ def test_a_node_that_no_longer_hears_keeps_what_it_cannot_see():
     content, _ = nodes[1].begin_step(content, Measured(1, 10, to_wire(nothing)))
     places = content.known.tracks.belief.mean[:, 0]
     existence = content.known.tracks.existence
-    unseen = existence[places < 400]
+    unseen = existence[(places < 400) & content.known.tracks.confirmed]
     assert len(unseen) == 1 and unseen[0] == pytest.approx(0.99 * before, rel=0.02)
     assert existence[places > 400].max() < 0.7
+
+
+def test_a_node_speaks_twice_in_a_step_and_the_second_time_if_it_has_heard_of_something():
+    node = pair()[0]
+    nothing = np.full((40, 2), np.nan)
+    nothing[0, 0] = 0.0
+    content, _ = node.begin_step(node.start(), Measured(0, 0, to_wire(nothing)))
+    first = node.bid(content)
+    content, body = node.compose(content)
+    assert node.bid(content) is None
+    content, _ = node.fuse(content, (node.accept(body),))
+    second = node.bid(content)
+    assert first is not None and second is not None and first > second
+    content, _ = node.compose(content)
+    assert node.bid(node.fuse(content, (node.accept(body),))[0]) is None
 
 
 def test_the_order_of_delivery_changes_no_message():

@@ -8,12 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.experiments.scenario_options import scenario_of
 from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
-from concord.filters.tracking.track_fusion import LookedAt, fused_tracks
+from concord.filters.tracking.track_fusion import (
+    ENDED_STEPS,
+    LookedAt,
+    fused_tracks,
+    tracked_on,
+)
+from concord.filters.tracking.tracker import Scan
 from concord.filters.tracking.tracks import Tracks
 from concord.nodes.estimator import Rejected
-from concord.nodes.tracking.track_codec import TrackCodec
+from concord.nodes.tracking.scan_codec import scan_codec
+from concord.nodes.tracking.track_codec import TrackCodec, TrackShare
+from concord.plants.range_bearing import RangeBearing
+from concord.plants.scanning import ScanningSensor
+from concord.scenarios.definitions.swarm_tracking import settings_of
 
 
 def tracks(*rows: Sequence[float]) -> LookedAt:
@@ -30,6 +41,12 @@ def tracks(*rows: Sequence[float]) -> LookedAt:
         np.ones(len(values), dtype=bool),
     )
     return LookedAt(kept, values[:, 3].astype(int))
+
+
+def codec_of(most: int) -> TrackCodec:
+    """Shares of so many tracks, and of a scan of up to 9 detections."""
+    spans = np.array([0.0, -3.2]), np.array([400.0, 3.2])
+    return TrackCodec(4, most, scan_codec(*spans, np.array([10.0, 0.035]), 20))
 
 
 def labels(known: LookedAt) -> list[int]:
@@ -81,6 +98,26 @@ def test_a_label_is_never_given_twice():
     assert early.tracks.belief.mean[:, 0].tolist() == [0]
 
 
+def test_the_end_of_a_track_is_told_for_some_steps():
+    settings = settings_of(scenario_of("target-swarm"))
+    # The target is gone: three sensors look at its place and see nothing.
+    places = ((0.0, -50.0), (0.0, 60.0), (40.0, 0.0), (5000.0, 0.0))
+    scans = [
+        Scan(number, ScanningSensor(RangeBearing(np.array(place))), np.empty((0, 2)))
+        for number, place in enumerate(places)
+    ]
+    # A track that no sensor sees stays.
+    known = tracks((0, 1, 0.99, 5), (2000, 2, 0.99, 5))
+    for step in range(6, 6 + ENDED_STEPS):
+        known, _ = tracked_on(known, scans, settings, step)
+        assert labels(known) == [1, 2] and known.looked.tolist() == [6, 5]
+        assert known.tracks.existence[0] == 0 and known.tracks.existence[1] > 0.9
+        heard = fused_tracks(tracks((3, 1, 0.99, 5)), known).tracks
+        assert heard.existence[0] < 0.5
+    known, _ = tracked_on(known, scans, settings, 6 + ENDED_STEPS)
+    assert labels(known) == [2]
+
+
 rows = st.lists(
     st.tuples(
         st.floats(0, 1000), st.integers(0, 40), st.floats(0.01, 0.99), st.integers(0, 9)
@@ -119,10 +156,14 @@ def test_labels_agree_after_as_many_rounds_as_the_graph_is_wide(order: tuple[int
 
 def test_tracks_come_over_the_wire_with_a_covariance_that_is_not_too_small():
     sent = tracks((0.37, 4, 0.91, 5), (712.3, 70000, 0.6, 1))
-    codec = TrackCodec(4, 3)
-    body = codec.encode(sent, 9)
-    assert len(body) == 1 + 2 * 37 and codec.size == 1 + 3 * 37
-    read = codec.decode(body + bytes(8), 9)
+    codec = codec_of(3)
+    scan = np.array([[2, np.nan], [120, 1.0], [300, -2.0]])
+    record = codec.scans.encode(scan)
+    body = codec.encode(TrackShare(sent, record), 9)
+    assert len(body) == 1 + 2 * 37 + 5 and codec.size == 1 + 3 * 37 + codec.scans.size_max
+    read, came = codec.decode(body + bytes(8), 9)
+    assert came == record
+    assert codec.decode(codec.encode(TrackShare(sent, None), 9), 9).record is None
     assert labels(read) == [4, 70000] and read.looked.tolist() == [5, 1]
     assert read.tracks.existence == pytest.approx(sent.tracks.existence, abs=1e-5)
     away = read.tracks.belief.mean - sent.tracks.belief.mean
@@ -132,19 +173,21 @@ def test_tracks_come_over_the_wire_with_a_covariance_that_is_not_too_small():
 
 def test_a_share_without_room_has_the_tracks_that_most_probably_exist():
     many = tracks((0, 1, 0.6, 5), (200, 2, 0.9, 5), (400, 3, 0.8, 5))
-    codec = TrackCodec(4, 2)
-    assert labels(codec.decode(codec.encode(many, 5), 5)) == [2, 3]
+    codec = codec_of(2)
+    body = codec.encode(TrackShare(many, None), 5)
+    assert labels(codec.decode(body, 5).known) == [2, 3]
 
 
 def test_shares_that_no_node_writes_are_refused():
-    codec = TrackCodec(4, 3)
-    body = codec.encode(tracks((0, 4, 0.9, 5)), 9)
-    twice = b"\x02" + 2 * body[1:]
+    codec = codec_of(3)
+    body = codec.encode(TrackShare(tracks((0, 4, 0.9, 5)), None), 9)
+    twice = b"\x02" + 2 * body[1:-1] + body[-1:]
     for broken, says in (
         (b"", "tracks-length"),
         (body[:-1], "tracks-length"),
         (b"\x09" + bytes(999), "tracks-length"),
-        (twice, "tracks-label"), (body[:10] + b"\xff" * 28, "tracks-belief"),
+        (body[:-1] + b"\x09", "tracks-length"),
+        (twice, "tracks-label"), (body[:10] + b"\xff" * 29, "tracks-belief"),
     ):  # fmt: skip
         with pytest.raises(Rejected, match=says):
             codec.decode(broken, 9)
@@ -154,7 +197,7 @@ def test_shares_that_no_node_writes_are_refused():
 @settings(max_examples=200, deadline=None)
 def test_any_bytes_are_tracks_or_refused(body: bytes):
     try:
-        read = TrackCodec(4, 3).decode(body, 5)
+        read = codec_of(3).decode(body, 5).known
     except Rejected:
         return
     found = fused_tracks(tracks((0, 4, 0.9, 5)), read)
