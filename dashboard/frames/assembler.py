@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.centralised import CentralisedFilter
-from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
+from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame, StepScores
 from concord.dashboard.frames.innovations import InnovationsTold
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
-from concord.dashboard.frames.scores import fuse, score
+from concord.dashboard.frames.scores import fuse, score, with_tracks
 from concord.dashboard.frames.stage import Stage, restaged
-from concord.dashboard.frames.targets import TracksTold
+from concord.dashboard.frames.targets import StepTracks, TracksTold
 from concord.dashboard.frames.told import StepContent, read_step
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
@@ -137,10 +137,21 @@ class Assembler:
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=judged(cycles, stage.heard, ages, alive, events),
-            scores=score(stage, truth, self._belief, alive, fused, central)._replace(nis=nis),
+            scores=self._scores(truth, alive, (fused, central), tracks)._replace(nis=nis),
             events=events,
             tracks=tracks,
         )
+
+    def _scores(
+        self,
+        truth: np.ndarray,
+        alive: np.ndarray,
+        together: tuple[Gaussian, Gaussian | None],
+        tracks: StepTracks | None,
+    ) -> StepScores:
+        """Return the scores of a step; the errors of tracks where there are some."""
+        found = score(self._stage, truth, self._belief, alive, *together)
+        return found if tracks is None else with_tracks(found, alive, tracks)
 
     def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()

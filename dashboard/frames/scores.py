@@ -4,6 +4,7 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepScores
 from concord.dashboard.frames.stage import Stage
+from concord.dashboard.frames.targets import StepTracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import inverse_spd, multiply
 from concord.scenarios.catalogue import scored_nees
@@ -55,6 +56,16 @@ def score(
         central=_error(central, truth, states),
         fused=_error(fused, truth, states),
     )
+
+
+def with_tracks(scores: StepScores, alive: np.ndarray, tracks: StepTracks) -> StepScores:
+    """The scores of a step with GOSPA as the error of the network.
+
+    The errors of nodes stay those of the number of targets. The centralised filter of the page and
+    the fused belief tell that number alone.
+    """
+    gospa_m = _root_mean_square(tracks.gospa_m[alive])
+    return scores._replace(rmse=gospa_m, central=float("nan"), fused=float("nan"))
 
 
 def _spread(means: np.ndarray) -> float:

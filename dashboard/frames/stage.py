@@ -79,6 +79,16 @@ class Stage:
         """Name of the fused belief of all nodes; sets are fused by their enclosing ellipsoids."""
         return "fused ellipsoids" if self.set_valued else "fused"
 
+    @property
+    def has_tracks(self) -> bool:
+        """Whether nodes track several targets, and errors are those of their tracks."""
+        return self.picture is PlantDrawing.SWARM
+
+    @property
+    def error_name(self) -> str:
+        """Name of the error of a step."""
+        return "GOSPA" if self.has_tracks else "RMSE"
+
     @cached_property
     def whereabouts(self) -> np.ndarray:
         """Where nodes are in the course of the run (P, 2), in the network's own units."""
@@ -128,8 +138,7 @@ def set_stage(setup: Setup) -> Stage:
         state_units=tuple(unit.replace("^2", "²") for unit in plant.state_units),
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
         heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
-        # A belief of several targets is of their number; charts of their tracks stand beside it.
-        score=definition.score._replace(unit="targets") if several else definition.score,
+        score=definition.score,
         set_valued=is_set_valued(setup.scenario),
         picture=picture,
         place=tuple(definition.score.states[:2]) if picture is PlantDrawing.PLANE else (),

@@ -1,36 +1,27 @@
 """The charts of a page. A new chart is one more value here, and touches no other file."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import state_table
-from concord.dashboard.frames.stage import PlantDrawing, Stage
+from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 from concord.dashboard.panels.nis_chart import nis_chart
 from concord.dashboard.panels.track_charts import track_charts
+from concord.scenarios.preparation import share_bytes
 
 _LOWER, _UPPER = "−3σ", "+3σ"
 
 
 def run_charts(stage: Stage) -> tuple[Chart, ...]:
     """Return the charts of the network: error, disagreement, consistency, traffic."""
+    # The belief beside tracks is the number of targets.
+    unit = "targets" if stage.has_tracks else stage.score.unit
     return (
-        *(track_charts() if stage.picture is PlantDrawing.SWARM else ()),
-        Chart(
-            f"RMSE of the nodes{_scored(stage)}",
-            stage.score.unit,
-            (
-                Line("nodes", lambda t: t.seeing, of_frames(lambda f: f.scores.rmse)),
-                Line(stage.fused_name, lambda t: t.fused, of_frames(lambda f: f.scores.fused)),
-                Line("centralised", lambda t: t.text, of_frames(lambda f: f.scores.central)),
-                Line("Cramér-Rao bound", lambda t: t.quiet, lambda s: s.expected.bound, True),
-            ),
-        ),
+        *(track_charts() if stage.has_tracks else (_error_chart(stage),)),
         Chart(
             f"Disagreement of the nodes{_scored(stage)}",
-            stage.score.unit,
+            unit,
             (Line("rms spread", lambda t: t.estimate, of_frames(lambda f: f.scores.spread)),),
         ),
         Chart(
@@ -43,11 +34,34 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
             ),
         ),
         nis_chart(),
-        Chart(
-            "Payload on the bus",
-            "kB/s",
-            (Line("payload", lambda t: t.seeing, of_frames(_payload_kilobytes_per_s(stage))),),
+        _payload_chart(stage),
+    )
+
+
+def _error_chart(stage: Stage) -> Chart:
+    return Chart(
+        f"RMSE of the nodes{_scored(stage)}",
+        stage.score.unit,
+        (
+            Line("nodes", lambda t: t.seeing, of_frames(lambda f: f.scores.rmse)),
+            Line(stage.fused_name, lambda t: t.fused, of_frames(lambda f: f.scores.fused)),
+            Line("centralised", lambda t: t.text, of_frames(lambda f: f.scores.central)),
+            Line("Cramér-Rao bound", lambda t: t.quiet, lambda s: s.expected.bound, True),
         ),
+    )
+
+
+def _payload_chart(stage: Stage) -> Chart:
+    """Return the chart of the payload, in bytes where a frame in each cycle makes no kB/s."""
+    seconds = stage.setup.time_step_s
+    is_slow = stage.rounds * share_bytes(stage.setup) < 1e3 * seconds
+    unit, of_unit = ("B/s", 1.0) if is_slow else ("kB/s", 1e3)
+
+    def payload(frame: StepFrame) -> float:
+        return sum(cycle.payload_bytes for cycle in frame.cycles) / seconds / of_unit
+
+    return Chart(
+        "Payload on the bus", unit, (Line("payload", lambda t: t.seeing, of_frames(payload)),)
     )
 
 
@@ -93,11 +107,6 @@ def _state_name(sample: Sample, before: str) -> tuple[str, str]:
     stage, view = sample.stage, sample.view
     node = stage.names[view.selected or 0]
     return f"{before}{stage.state_names[view.state]}, node {node}", stage.state_units[view.state]
-
-
-def _payload_kilobytes_per_s(stage: Stage) -> Callable[[StepFrame], float]:
-    seconds = stage.setup.time_step_s
-    return lambda frame: sum(cycle.payload_bytes for cycle in frame.cycles) / seconds / 1e3
 
 
 def _of_state(column: int) -> Column:

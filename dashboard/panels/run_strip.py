@@ -50,12 +50,12 @@ class RunStrip:
         span = bins.edges[-1] - bins.edges[0]
         place = LEFT + (WIDTH - LEFT - RIGHT) * (bins.edges - bins.edges[0]) / span
         shown = np.interp(step + 0.5, bins.edges, place)
-        ink, quiet = css(theme.text), css(theme.quiet)
+        ink, quiet, name = css(theme.text), css(theme.quiet), stage.error_name
         return (
             f'<svg data-testid="run" viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" width="100%" '
             f'style="display:block;cursor:pointer"><style>.bin:hover{{fill:{ink};'
             f"fill-opacity:.25}}</style>"
-            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">RMSE, log</text>'
+            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}, log</text>'
             f'<text x="6" y="{_HEIGHT - 4:g}" font-size="10.5" fill="{quiet}">missed</text>'
             f"{_loop(theme, place, bins.edges, view.loop)}{_heat(theme, place, bins.missed)}"
             f"{_line(theme, place, bins.rmse)}"
@@ -150,6 +150,7 @@ def _flags(theme: Theme, place: np.ndarray, edges: np.ndarray, events: Sequence[
 def _targets(stage: Stage, place: np.ndarray, bins: RunBins, events: Sequence[LogEntry]) -> str:
     """Return what the pointer meets: a box per bin, with its values in words."""
     unit, seconds = stage.score.unit.removeprefix("1"), stage.setup.time_step_s
+    name = stage.error_name
     words: dict[int, list[str]] = {}
     for event in events:
         number = int(np.searchsorted(bins.edges, event.step, side="right")) - 1
@@ -158,11 +159,8 @@ def _targets(stage: Stage, place: np.ndarray, bins: RunBins, events: Sequence[Lo
     for i in range(len(bins.rmse)):
         first, last = int(bins.edges[i]), int(bins.edges[i + 1]) - 1
         steps = f"step {first}" if first == last else f"steps {first} to {last}"
-        rmse = (
-            f"RMSE {rounded(bins.rmse[i])} {unit}".strip()
-            if np.isfinite(bins.rmse[i])
-            else "no RMSE"
-        )
+        known = np.isfinite(bins.rmse[i])
+        rmse = f"{name} {rounded(bins.rmse[i])} {unit}".strip() if known else f"no {name}"
         told = [steps, rmse, f"{bins.missed[i]:.0f} senders missed", *words.get(i, ())[:6]]
         parts.append(
             f'<rect class="bin" data-node="{i}" data-time="{first * seconds:g}" '

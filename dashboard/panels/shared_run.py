@@ -99,7 +99,8 @@ def shared_run(
 
 def _told(frame: StepFrame) -> str:
     scores, unit = frame.scores, frame.stage.score.unit.removeprefix("1")
-    rmse = f", RMSE {rounded(scores.rmse)} {unit}".rstrip() if np.isfinite(scores.rmse) else ""
+    name = frame.stage.error_name
+    rmse = f", {name} {rounded(scores.rmse)} {unit}".rstrip() if np.isfinite(scores.rmse) else ""
     alive = f"{int(frame.alive.sum())} of {frame.stage.nodes} nodes up"
     return f"step {frame.step}, time {frame.time_s:.4g} s, {alive}{rmse}"
 

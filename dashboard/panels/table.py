@@ -143,13 +143,13 @@ def status(
     rows: list[tuple[str, str, str, str]] = []
     if frame is not None:
         stage = frame.stage
-        unit = stage.score.unit.removeprefix("1")
+        unit, name = stage.score.unit.removeprefix("1"), stage.error_name
         rows = [
             ("step", "step", f"{frame.step}", "number of the shown step, from 0"),
             ("time", "time", f"{frame.time_s:.4g} s", "time of the plant"),
             ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}", "nodes that are up"),
             ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}", "of all links"),
-            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip(), CHARTS["RMSE"]),
+            (name, "rmse", f"{_number(frame.scores.rmse)} {unit}".strip(), CHARTS[name]),
         ]
         if np.isfinite(frame.scores.central):
             central = f"{_number(frame.scores.central)} {unit}".strip()

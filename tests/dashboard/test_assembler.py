@@ -211,11 +211,14 @@ def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
     assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))
 
 
-def test_the_page_of_several_targets_shows_their_number():
+def test_the_page_of_several_targets_shows_their_number_and_gospa():
     stage, messages = run_of("target-swarm", nodes=4, targets=2, steps=5, rounds=2)
     trace = read_trace(stage.setup, messages)
     frames = frames_of(stage, messages)
-    assert (stage.score.unit, stage.place) == ("targets", ())
+    assert (stage.score.unit, stage.error_name, stage.place) == ("m", "GOSPA", ())
     assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
     off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
     np.testing.assert_allclose([frame.scores.error for frame in frames], off)
+    assert trace.tracks is not None
+    gospa_m = np.sqrt((trace.tracks.distances() ** 2).mean(axis=1))
+    np.testing.assert_allclose([frame.scores.rmse for frame in frames], gospa_m)

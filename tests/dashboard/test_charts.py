@@ -102,6 +102,12 @@ def test_charts_show_the_numbers_of_the_frames():
     assert {name: lines[name] for name in expected} == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("options", "unit"), [({"rounds": 20}, "kB/s"), ({"rounds": 1}, "B/s")])
+def test_a_slow_bus_has_its_payload_in_bytes(options: dict[str, int], unit: str):
+    stage, _ = run_of("target-tracking", nodes=4, steps=1, **options)
+    assert [each.unit for each in run_charts(stage) if each.name.startswith("Payload")] == [unit]
+
+
 def test_the_page_has_a_drawing_with_text_per_chart_that_shows_anything():
     charts = [chart("Error <of> all", RISING, NOTHING), chart("None", NOTHING)]
     page = charts_page(STAGE, charts, VIEW)

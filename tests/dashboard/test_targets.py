@@ -10,7 +10,9 @@ from concord.dashboard.frames.expected import nothing_expected
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import PlantDrawing
 from concord.dashboard.frames.targets import NodeTracks, StepTracks
+from concord.dashboard.panels.chart_table import run_charts
 from concord.dashboard.panels.charts import sampled
+from concord.dashboard.panels.run_strip import RunStrip
 from concord.dashboard.panels.track_charts import track_charts
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.scene.swarm import track_colour
@@ -39,6 +41,22 @@ def test_scores_of_the_page_are_those_of_the_results():
             found = scored(tracks.paths, of_node.report)
             shown = tracks.gospa_m[node], tracks.missed[node], tracks.false[node]
             assert shown == pytest.approx((found.distance, found.missed, found.false))
+
+
+def test_the_error_of_the_page_is_gospa_as_that_of_the_results_is():
+    for frame, tracks in zip(FRAMES, TRACKS, strict=True):
+        assert frame.scores.rmse == pytest.approx(np.sqrt((tracks.gospa_m**2).mean()))
+        assert np.isnan(frame.scores.central)
+    titles = [(chart.name, chart.unit) for chart in run_charts(STAGE)]
+    assert not any(name.startswith("RMSE") for name, _ in titles)
+    assert ("GOSPA of the tracks", "m") in titles
+    assert ("Disagreement of the nodes", "targets") in [
+        (n.split(",")[0], unit) for n, unit in titles
+    ]
+    history = FrameHistory(STAGE)
+    history.add(FRAMES)
+    strip = RunStrip().draw(STAGE, View(), history)
+    assert "GOSPA, log" in strip and "RMSE" not in strip
 
 
 def test_births_and_deaths_in_the_log_are_those_of_the_tracks():
