@@ -19,8 +19,8 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.types.rules import TrackIntersection
 
-_SCAN_BYTES = 64
-"""Room for a scan in a share: 31 detections."""
+_SCAN_BYTES = 40
+"""Room for a scan in a share: 19 detections. A full FlexRay cycle holds 20 nodes with it."""
 
 
 def _codec(scenario: Scenario) -> TrackCodec:

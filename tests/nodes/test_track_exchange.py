@@ -13,8 +13,8 @@ from concord.plants.range_bearing import RangeBearing
 from concord.plants.scanned_swarm import write_scan
 from concord.plants.scanning import ScanningSensor
 from concord.runtime.drivers import in_memory
-from concord.scenarios.build import build_node
-from concord.scenarios.preparation import prepare
+from concord.scenarios.build import build_bus, build_node
+from concord.scenarios.preparation import prepare, share_bytes
 from tests.experiments.test_swarm_network import (
     by_topic,
     figures_of,
@@ -147,6 +147,12 @@ def test_tracks_without_room_are_counted_and_a_killed_node_begins_anew():
     trace = read_trace(setup, in_memory(setup))
     assert sum(counters.get("track-room", 0) for counters in trace.counters) > 0
     assert trace.tracks is not None and trace.tracks.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
+
+
+def test_a_full_cycle_holds_the_shares_of_twenty_nodes():
+    setup = prepare(scenario_of("target-swarm", rule="track-ci", rounds=2))
+    assert setup.scenario.nodes == 20 and share_bytes(setup) < 500
+    assert build_bus(setup).schedule.static_senders(0) == tuple(range(20))
 
 
 def test_the_rule_is_refused_where_targets_have_names():
