@@ -136,7 +136,8 @@ def check_ranges(value: msgspec.Struct) -> None:
         elif isinstance(held, int | float) and not declared.says.holds(held):
             rule = declared.says.range
             rule = rule if math.isfinite(held) else f"{rule}, and finite"
-            raise ValueError(f"{_flag(declared.name)} {held}: must be {rule}")
+            cure = declared.says.cure and f"; {declared.says.cure}"
+            raise ValueError(f"{_flag(declared.name)} {held}: must be {rule}{cure}")
 
 
 def refuse_left(root: msgspec.Struct, left: Mapping[str, Any]) -> None:

@@ -49,6 +49,7 @@ class Option(NamedTuple):
         above, at_least, below, at_most: range of its number.
         even: whether the number must be even.
         is_setting: whether a network that runs can change it (`set`).
+        cure: what to do about a number outside the range, and why.
     """
 
     text: str = ""
@@ -62,6 +63,7 @@ class Option(NamedTuple):
     at_most: float | None = None
     even: bool = False
     is_setting: bool = False
+    cure: str = ""
 
     def holds(self, number: float) -> bool:
         """Whether a number is finite and in the range."""

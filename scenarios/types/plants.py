@@ -41,11 +41,18 @@ class TargetSwarm(PlacedSensors, frozen=True, kw_only=True, tag="target-swarm"):
     detection: Annotated[
         float,
         Option("Detection probability at 0.71 of the field of view; nearer targets have more.",
-               above=FALSE_ALARM, below=1),
+               above=FALSE_ALARM, below=1,
+               cure="choose for example 0.9: a sensor that is blind or misses nothing has no echo "
+               "that falls with range"),
     ] = 0.9  # fmt: skip
     clutter: Annotated[
         float,
-        Option("Expected clutter detections in a scan.", at_least=0, at_most=MOST_CLUTTER),
+        Option(
+            "Expected clutter detections in a scan.",
+            at_least=0,
+            at_most=MOST_CLUTTER,
+            cure="choose for example 5: a record has room for 255 detections",
+        ),
     ] = 5.0
     merge_m: Annotated[
         float,

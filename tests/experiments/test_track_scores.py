@@ -39,8 +39,10 @@ def figures(capsys: pytest.CaptureFixture[str], folder: Path, *words: str) -> di
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--detection", "1"), "--detection 1.0: must be in (0.001, 1)"),
-        (("--clutter", "-1"), "--clutter -1.0: must be"),
+        (("--detection", "1"), "--detection 1.0: must be in (0.001, 1); choose for example 0.9"),
+        (("--detection", "0"), "--detection 0.0: must be in (0.001, 1); choose for example 0.9"),
+        (("--clutter", "-1"), "--clutter -1.0: must be in [0, 200]; choose for example 5"),
+        (("--clutter", "201"), "--clutter 201.0: must be in [0, 200]; choose for example 5"),
         (("--targets", "100000"), "--targets 100000: must be 1 to 200"),
         (("--targets", "0"), "--targets 0: must be 1 to 200"),
         (("--merge-m", "-1"), "--merge-m -1.0: must be 0 or more"),
