@@ -58,6 +58,7 @@ from concord.topology.names import unknown_name
 
 # Nodes that pass records on ask in most cycles. If each were old after a turn of all, slots would
 # go by age and not by need. Two classes leave one for all needs: there only age tells nodes apart.
+# Scans, which are the records of a wiring, come sooner with an age of one turn (docs/targets.md).
 _TURNS_BEFORE_OLD, _LEAST_CLASSES_BY_NEED = 12, 3
 FITTED = "fitted"
 # The same with every frame on both channels.
@@ -276,7 +277,8 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     old_after = len(contenders)
     if isinstance(scenario.rule, FloodingRule):
         least, most = bids_for_records(scenario.nodes)
-        if count >= _LEAST_CLASSES_BY_NEED:
+        has_scans = definition_of(scenario).wiring(scenario) is not None
+        if count >= _LEAST_CLASSES_BY_NEED and not has_scans:
             old_after *= _TURNS_BEFORE_OLD
     return UrgencyClasses(count, least, most, old_after)
 

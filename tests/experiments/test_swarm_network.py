@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
@@ -29,7 +30,7 @@ from concord.nodes.tracking.scan_flooding import (
 from concord.runtime import in_process
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import MemoryRecorder
-from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.build import build_bus, build_environment, build_node
 from concord.scenarios.definitions.swarm_scans import new_tracker
 from concord.scenarios.definitions.swarm_tracking import plant_of
 from concord.scenarios.preparation import prepare, setup_of_run
@@ -169,6 +170,13 @@ def test_every_bus_carries_scans(bus: str):
     assert (digests != digests[:, :1]).any()
     # Two nodes of six publish in the one cycle of a step, in frames of their own.
     assert 4 * scarce.published.sum() < full.published.sum()
+
+
+def test_contenders_with_scans_are_old_after_one_turn_of_all():
+    bus = build_bus(setup_of(SCARCE))
+    assert isinstance(bus, FlexRayBus)
+    least, waits = np.array([1]), np.array([SMALL["nodes"] - 1])
+    assert bus.classes.of(least, waits) > 0 and bus.classes.of(least, waits + 1) == 0
 
 
 def test_a_dead_node_is_no_longer_scored_and_a_returned_one_tracks_again():
