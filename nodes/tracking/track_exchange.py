@@ -36,7 +36,7 @@ class TrackContent(NamedTuple):
             clusters beyond the bound of the exact sum.
         heard: the last tracks of each neighbour in this step, by its number.
         known: the scanned tracks, fused with those.
-        step: this step. rounds: how many of its rounds have ended. said: shares of the node in it.
+        step: this step. rounds: how many of its rounds have ended. spoken: shares of the node in it.
         news: shares of neighbours since its last one.
         ages: cycles (J,) since the last share of each neighbour, -1 for never.
     """
@@ -48,7 +48,7 @@ class TrackContent(NamedTuple):
     known: LookedAt
     step: int
     rounds: int
-    said: int
+    spoken: int
     news: int
     ages: np.ndarray
 
@@ -95,7 +95,7 @@ class TrackExchange:
             heard={},
             step=measured.step,
             rounds=0,
-            said=0,
+            spoken=0,
             news=0,
         )
         return self._tracked(content), ()
@@ -106,9 +106,9 @@ class TrackExchange:
         The first share of a step goes before each second one.
         """
         least, most = BIDS_FOR_CHANGE
-        if not content.said:
+        if not content.spoken:
             return most
-        if content.said == SHARES_IN_STEP or not content.news:
+        if content.spoken == SHARES_IN_STEP or not content.news:
             return None
         return min(least * (1 + content.news), most - 1)
 
@@ -117,7 +117,7 @@ class TrackExchange:
         known = content.known.chosen(content.known.tracks.confirmed)
         share = TrackShare(known, content.records.get(self.node))
         body = self.codec.encode(share, content.step)
-        return content._replace(said=content.said + 1, news=0), body
+        return content._replace(spoken=content.spoken + 1, news=0), body
 
     def accept(self, body: bytes) -> TrackShare:
         """The share that these bytes mean, its tracks looked at so many steps before step 0.
