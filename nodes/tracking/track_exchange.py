@@ -36,7 +36,7 @@ class TrackContent(NamedTuple):
             clusters beyond the bound of the exact sum.
         heard: the last tracks of each neighbour in this step, by its number.
         known: the scanned tracks, fused with those.
-        step: this step. rounds: how many of its rounds have ended. spoken: shares of the node in it.
+        step: this step. rounds: how many of its rounds have ended. spoken: its own shares in it.
         news: shares of neighbours since its last one.
         ages: cycles (J,) since the last share of each neighbour, -1 for never.
     """
