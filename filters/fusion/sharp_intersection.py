@@ -24,7 +24,8 @@ class SharpIntersection(NamedTuple):
     `covariance_intersection` with the same weights at the start. Equal covariances keep the
     weights. The units of the state have no effect.
 
-    Fails: as `covariance_intersection`.
+    Fails: as `covariance_intersection`. With nonlinear models a node that errs and does not know it
+    gains weight (docs/which_rule_when.md).
 
     Sources: the step is that of Titterington (1976), Algorithms for computing D-optimal designs.
     Yu (2010), Annals of Statistics 38(3), proves that it is monotonic. The determinant as aim is of

@@ -50,7 +50,7 @@ class CovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="ci"):
 
 
 class SharpCovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="sharp-ci"):
-    """ci with weights that go to the sharper beliefs of a neighbourhood: consistent, less error."""
+    """ci with weights that go to the sharper beliefs of a neighbourhood: less error and caution."""
 
 
 class WeightedAverage(AverageRule, frozen=True, kw_only=True, tag="wac"):
