@@ -234,7 +234,10 @@ def test_the_command_judges_such_a_log_and_identifies_its_receiver(tmp_path: Pat
 def test_half_a_position_is_refused(lines: tuple[str, ...], says: str):
     needed = 'yaw_rate = { column = "r", unit = "rad/s" }\n'
     needed += 'steering = { column = "d", unit = "rad" }\nspeed = { column = "v", unit = "m/s" }\n'
-    extra = "".join(f'{name} = {{ column = "{name}", unit = "m" }}\n' for name in lines)
+    units = {"latitude": "deg", "longitude": "deg"}
+    extra = "".join(
+        f'{name} = {{ column = "{name}", unit = "{units.get(name, "m")}" }}\n' for name in lines
+    )
     with pytest.raises(ValueError, match=says):
         columns_from_toml(needed + extra)
 
