@@ -91,6 +91,7 @@ def test_the_help_has_the_legend_and_every_heading(page: Page):
 
 def test_an_address_with_a_step_opens_that_step(page: Page):
     again = page.page.context.browser.new_page()
+    again.set_default_timeout(90_000)
     try:
         again.goto(f"{page.dashboard.url}&fixedDpr=0.5&step=17")
         page.until(lambda: page.dashboard.view.step == 17)
