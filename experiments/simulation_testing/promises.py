@@ -19,11 +19,10 @@ from concord.topology.robustness import is_robust
 LYING_SENSORS = ("outlier", "bias", "stuck")
 
 CERTAIN = ("ellipsoid", "zonotope")
-CONSISTENT = ("ci", "wac", "hcmci", "labelled", "local", "centralised")
-# Trimming loses information and adds none, though nobody has proved what it does to errors. With
-# nonlinear models sharp-ci gives weight to a node that errs and does not know it.
-BOUNDED = (*CONSISTENT, "trimmed-ci", "sharp-ci")
-GAUSSIAN = ("ci", "wac", "hcmci", "labelled", "trimmed-ci", "centralised")
+CONSISTENT = ("ci", "sharp-ci", "wac", "hcmci", "labelled", "local", "centralised")
+# Trimming loses information and adds none, though nobody has proved what it does to errors.
+BOUNDED = (*CONSISTENT, "trimmed-ci")
+GAUSSIAN = ("ci", "sharp-ci", "wac", "hcmci", "labelled", "trimmed-ci", "centralised")
 RETURNING = (*GAUSSIAN, *CERTAIN)
 # The filters know these plants as they are; that of meng2025 is approximated, and liu2021's noise
 # is bounded and not Gaussian.
