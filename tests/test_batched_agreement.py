@@ -13,7 +13,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
+from concord.experiments.monte_carlo.histories import Histories
+from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, simulate
 from concord.experiments.results.near_agreement import scale_of_cov, scale_of_mean
 from concord.experiments.results.trace import read_trace
 from concord.runtime.batched.build import without_array_form

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.many_figures import RunCost
-from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.results.folder import past_variables
 from concord.experiments.results.innovations.of_run import variables_of
 from concord.experiments.results.netcdf_file import read_dataset

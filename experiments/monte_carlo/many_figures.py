@@ -7,9 +7,9 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
 from concord.experiments.monte_carlo.run_figures import scored_steps, traffic_of
-from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
 from concord.experiments.results.innovations.figures import InnovationFigures
 from concord.experiments.results.innovations.of_run import judged

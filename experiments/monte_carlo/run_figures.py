@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from concord.experiments.monte_carlo.energy import energy_per_bit_nj
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.run_frame import RunFrame
-from concord.experiments.monte_carlo.simulate import Histories
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.experiments.tracking.tracking_figures import track_figures
 from concord.experiments.tracking.tracks_trace import distances_of_centre

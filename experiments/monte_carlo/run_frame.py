@@ -9,8 +9,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
-from concord.experiments.monte_carlo.simulate import Histories
 from concord.scenarios.baselines import centralised_of_runs, filters_step_by_step
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup

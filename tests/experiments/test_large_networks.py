@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from concord.experiments.monte_carlo import simulate as batched
-from concord.experiments.monte_carlo.simulate import COV, Histories, simulate
+from concord.experiments.monte_carlo.histories import Histories
+from concord.experiments.monte_carlo.simulate import COV, simulate
 from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
 

@@ -8,7 +8,8 @@ import pytest
 
 from concord.experiments import memory
 from concord.experiments.memory import check_memory, check_workers, needed_bytes
-from concord.experiments.monte_carlo.simulate import Histories, simulate
+from concord.experiments.monte_carlo.histories import Histories
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.python_api import simulate as simulate_in_python
 from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.catalogue import definitions

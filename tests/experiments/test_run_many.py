@@ -7,8 +7,9 @@ import pytest
 import xarray
 from scipy.stats import t
 
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.many_figures import RunCost, lines, summarise
-from concord.experiments.monte_carlo.simulate import Histories, simulate
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.summary import Figures
 from concord.experiments.results.summary import summarise as summarise_one
 from concord.experiments.results.trace import read_trace

@@ -9,7 +9,8 @@ import pytest
 from scipy.special import chdtri
 from scipy.stats import binom
 
-from concord.experiments.monte_carlo.simulate import Histories, simulate
+from concord.experiments.monte_carlo.histories import Histories
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.scenario_options import scenario_of
