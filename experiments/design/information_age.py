@@ -30,18 +30,16 @@ class InformationAge(NamedTuple):
 def information_age(scenario: Scenario) -> InformationAge | None:
     """Return the age of a network; None where runs do not show it: the network changes, or links
     lose the frames of a rule that averages."""
-    setup = prepare(scenario)
     if scenario.changes:
         return None
-    runs = range(FRESH_RUN, FRESH_RUN + _RUNS)
-    if lossy_links(scenario):
-        spreads = simulate(setup, runs).spreads
-        return InformationAge(None, max(map(_record_lag, spreads))) if spreads else None
+    setup, loses = prepare(scenario), lossy_links(scenario)
     schedule = build_bus(setup).schedule
-    bound = worst_age_steps(schedule, setup.neighbours, scenario.rounds)
-    histories = simulate(setup, runs)
+    bound = None if loses else worst_age_steps(schedule, setup.neighbours, scenario.rounds)
+    histories = simulate(setup, range(FRESH_RUN, FRESH_RUN + _RUNS))
     if histories.spreads:
         return InformationAge(bound, max(map(_record_lag, histories.spreads)))
+    if loses:
+        return None
     readings, _ = kept(histories)
     observed = 0
     for sent, read in zip(histories.payload_bytes > 0, ~np.isnan(readings), strict=True):

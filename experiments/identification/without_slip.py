@@ -1,6 +1,6 @@
 """The side slip that a drive tells: channels that the fit hears, and values that it leaves."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -53,11 +53,14 @@ def tells_slip(channels: Mapping[str, ChannelReadings], reference: SlipReference
     A reference decides where there is one, also beside a slip sensor: a drive too slow for it shows
     one steady state after another, and nothing of how the errors of the tyres move.
     """
-    return any(map(_logged(channels), _TELLING)) if reference is None else reference.told <= SEEN
+    if reference is None:
+        return any(is_logged(channels, name) for name in _TELLING)
+    return reference.told <= SEEN
 
 
-def _logged(channels: Mapping[str, ChannelReadings]) -> Callable[[str], bool]:
-    return lambda name: name in channels and len(channels[name].values) > 0
+def is_logged(channels: Mapping[str, ChannelReadings], name: str) -> bool:
+    """Whether a log has readings of a channel."""
+    return name in channels and len(channels[name].values) > 0
 
 
 def as_heard(heard: Heard, reference: SlipReference | None) -> Heard:
@@ -65,7 +68,7 @@ def as_heard(heard: Heard, reference: SlipReference | None) -> Heard:
     if not tells_slip(heard.channels, reference):
         left = HIDDEN if reference is None else _STEADY
         return heard._replace(sought=tuple(one for one in heard.sought if one.path not in left))
-    if reference is None or _logged(heard.channels)("side_slip"):
+    if reference is None or is_logged(heard.channels, "side_slip"):
         return heard
     return _with_reference(heard, reference)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from concord.experiments.identification.slip_reference import SlipReference, slip_reference
 from concord.experiments.identification.sought import SEEN
+from concord.experiments.identification.without_slip import is_logged
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.run_verdict import anees_interval, beyond
 from concord.filters.gaussian import Gaussian
@@ -59,7 +60,7 @@ def slip_evidence(
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
         return None
     channels, car = read_log(plant.data)
-    logged = "side_slip" in channels and len(channels["side_slip"].values) > 0
+    logged = is_logged(channels, "side_slip")
     if logged:
         drive: Any = definition_of(setup.scenario).plant(setup.scenario)
         error = belief.mean - drive.truth[: len(counted)]
