@@ -100,7 +100,9 @@ class Controls:
         if self._plays:
             self._inputs.alter(self._play_or_rest)
         else:
-            self.commands.soon(self._toggle_network, client)
+            # The press means what the button says, although other commands may wait before it.
+            word = "resume" if self._is_paused else "pause"
+            self.commands.soon(self.commands.send, {"do": word}, client)
 
     def _play_or_rest(self, view: View) -> None:
         if view.playing:
@@ -109,9 +111,6 @@ class Controls:
             history = self._history
             is_read = self._source.pace().state != "LOADING"
             view.play(history.first_step, history.last_step if is_read else view.step + 1)
-
-    def _toggle_network(self, client: Any) -> None:
-        self.commands.send({"do": "resume" if self.commands.is_paused() else "pause"}, client)
 
     def step_once(self, client: Any) -> None:
         """One step more; a network that runs is paused first."""

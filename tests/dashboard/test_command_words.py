@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from threading import Event
 
 import numpy as np
 import pytest
@@ -54,6 +55,7 @@ class Scripted:
     def __init__(self) -> None:
         self.frames = frames_of(STAGE, MESSAGES)[:6]
         self.state = SourceState("PAUSED", "6 of 12 steps", 6, 5.0)
+        self.asked: list[str] = []
 
     def poll(self):
         frames, self.frames = self.frames, []
@@ -63,6 +65,7 @@ class Scripted:
         return self.state
 
     def ask(self, command) -> CommandAnswer:
+        self.asked.append(command["do"])
         return CommandAnswer(True, "")
 
     def close(self) -> None:
@@ -128,6 +131,21 @@ def test_the_filter_that_hears_everything_is_not_begun_in_the_middle():
         frames = [frame for frame in map(assembler.frame, steps[first:]) if frame is not None]
         assert len(frames) == len(steps) - first
         assert all(np.isfinite(frame.scores.central) == (first == 0) for frame in frames)
+
+
+@pytest.mark.parametrize("state", ["PAUSED", "SILENT", "RUNNING"])
+def test_a_press_on_resume_resumes_whatever_has_come_before_its_turn(
+    page: Dashboard, source: Scripted, state: str
+):
+    assert holds(page, lambda: page.controls.pause.label == "Resume")
+    turn = Event()
+    page.controls.commands.soon(turn.wait)
+    for _ in range(2):
+        page.controls.toggle(None)
+    source.state = source.state._replace(state=state)
+    turn.set()
+    assert holds(page, lambda: len(source.asked) == 2)
+    assert source.asked == ["resume", "resume"]
 
 
 def test_the_slider_shows_the_speed_in_force(page: Dashboard, source: Scripted):
