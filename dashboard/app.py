@@ -207,7 +207,7 @@ class Dashboard:
             state = "RUNNING" if self.view.playing else "PAUSED"
         waiting = self.controls.show_state(pace, self.view.playing)
         if (hand := self._hand) is not None:
-            pending = self.controls.commands.pending if waiting else []
+            pending = self.controls.commands.pending(pace)
             self.failures.attempt("Ghosts", lambda: hand.draw(self.view.theme, pending))
         judged = None if frame is None else self.failures.attempt("Verdict", self._judge)
         # A factor after the word has no room beside viser's buttons.

@@ -11,7 +11,7 @@ from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.centralised import CentralisedFilter
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame, StepScores
 from concord.dashboard.frames.innovations import InnovationsTold
-from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
+from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, after_all, read_change
 from concord.dashboard.frames.scores import fuse, score, with_tracks
 from concord.dashboard.frames.stage import Stage, restaged
 from concord.dashboard.frames.targets import StepTracks, TracksTold
@@ -55,6 +55,11 @@ class Assembler:
         """Return the stage with the settings of the newest frame."""
         return self._stage
 
+    @property
+    def pending(self) -> list[LogEntry]:
+        """Return what the log will tell of the changes that hold from a step after the newest."""
+        return after_all(self._network, self._changes, self._stage.names)[1]
+
     def hear(self, event: bytes) -> None:
         """Apply an event of the network, which holds from the step that it names."""
         change = read_change(event)
@@ -83,17 +88,13 @@ class Assembler:
         if not due:
             return
         self._changes = [change for change in self._changes if change.step > number]
-        for change in due:
-            try:
-                self._network, event = changed(self._network, change, self._stage.names)
-            except (KeyError, TypeError, ValueError, IndexError):
-                # A newer network may tell of more than this page knows.
-                continue
-            self._events.append(event)
-            if change.what == "settings":
-                since = self._network.anchor[:2]
-                self._stage = restaged(self._stage, dict(self._network.settings), *since)
-                self._bus = BusView(self._stage.bus)
+        before = self._network.settings
+        self._network, events = after_all(self._network, due, self._stage.names)
+        self._events += events
+        if self._network.settings is not before:
+            since = self._network.anchor[:2]
+            self._stage = restaged(self._stage, dict(self._network.settings), *since)
+            self._bus = BusView(self._stage.bus)
 
     def _drawn(self, number: int, state: np.ndarray, told: StepContent) -> StepFrame:
         stage = self._stage

@@ -203,8 +203,9 @@ class LiveNetwork:
         if self._taken is not None:
             told = f"readings of {self._taken + 1} of {completed} steps"
             return SourceState("LOADING", told, completed, rate)
-        state = "PAUSED" if self._state.paused else "RUNNING"
-        return SourceState(state, told, completed, rate)
+        if self._state.paused:
+            return SourceState("PAUSED", told, completed, rate, tuple(self._assembler.pending))
+        return SourceState("RUNNING", told, completed, rate)
 
     def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""

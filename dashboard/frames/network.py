@@ -3,7 +3,8 @@
 The changes are those of docs/control.md; each holds from the step that it names.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import msgspec
@@ -71,6 +72,19 @@ def changed(
     """
     network_after, event = _applied(network, change, names)
     return network_after, event._replace(words=_words(network, change))
+
+
+def after_all(
+    network: NetworkStatus, changes: Sequence[AnnouncedChange], names: tuple[str, ...]
+) -> tuple[NetworkStatus, list[LogEntry]]:
+    """Return the network after changes, and the lines of the log that tell of them."""
+    lines = []
+    for change in changes:
+        # A newer network may tell of more than this page knows.
+        with suppress(KeyError, TypeError, ValueError, IndexError):
+            network, line = changed(network, change, names)
+            lines.append(line)
+    return network, lines
 
 
 def _words(network: NetworkStatus, change: AnnouncedChange) -> str:

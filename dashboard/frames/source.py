@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.replay import replayed
 from concord.dashboard.frames.stage import Stage
 
@@ -22,13 +22,15 @@ class SourceState(NamedTuple):
     """State of a network: RUNNING, PAUSED, ENDED, or SILENT while it does not answer.
 
     A recording is LOADING or RECORDED. `detail` is for people. `completed` counts the steps of a
-    network, and `steps_per_s` is the most that it does; 0 is as many as it can.
+    network, and `steps_per_s` is the most that it does; 0 is as many as it can. `pending` are the
+    changes that hold from the next step of a network that is paused.
     """
 
     state: str
     detail: str = ""
     completed: int = 0
     steps_per_s: float = 0.0
+    pending: tuple[LogEntry, ...] = ()
 
 
 class Source(Protocol):

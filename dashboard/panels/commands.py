@@ -4,8 +4,12 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import msgspec
+
 from concord.dashboard.frames.source import CommandAnswer, Source, SourceState
 from concord.dashboard.panels.command_words import in_a_sentence
+from concord.dashboard.touch.script import script_of
+from concord.nodes.commands import in_words
 
 Tell = Callable[[Any, str, str, bool], None]
 """(client, title, body, is trouble): show a short message to a person."""
@@ -18,8 +22,6 @@ class Commands:
         self._source, self.tell = source, tell
         self._thread = ThreadPoolExecutor(1, "commands")
         self._newest: dict[str, dict[str, Any]] = {}
-        # Accepted while the network was paused: at how many completed steps, words and command.
-        self._waiting: list[tuple[int, str, dict[str, Any]]] = []
 
     def soon(self, act: Callable[..., object], *values: Any) -> None:
         """Call `act(*values)` in the thread of the commands."""
@@ -46,21 +48,16 @@ class Commands:
             paused = before.state == "PAUSED"
             when = "It holds from the next step, which waits for Step or Resume." if paused else ""
             self.tell(client, "Accepted", f"{what[0].upper()}{what[1:]}. {when}", False)
-            if paused:
-                self._waiting = [*self._waiting, (before.completed, what, command)]
         return answer
 
     def waiting(self, pace: SourceState) -> list[str]:
         """Return the changes that hold from the next step of a paused network, in words."""
-        if pace.state == "SILENT":
-            return []
-        self._waiting = [one for one in self._waiting if one[0] == pace.completed]
-        return [what for _, what, _ in self._waiting]
+        return [in_a_sentence(one, self._source.stage.names) for one in self.pending(pace)]
 
-    @property
-    def pending(self) -> list[dict[str, Any]]:
-        """Return the commands of which `waiting` told last."""
-        return [command for *_, command in self._waiting]
+    def pending(self, pace: SourceState) -> list[dict[str, Any]]:
+        """Return these changes as commands."""
+        lines = [line.split()[1:] for line in script_of(pace.pending)]
+        return [msgspec.to_builtins(in_words(words)) for words in lines]
 
     def is_paused(self) -> bool:
         """Say whether the network is paused."""

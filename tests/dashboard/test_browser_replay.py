@@ -101,6 +101,15 @@ def test_the_strip_shows_the_whole_run_and_a_press_on_it_seeks(page: Page):
     page.until(lambda: page.text("step") == "19")
 
 
+@pytest.fixture
+def _slowly(page: Page) -> Iterator[None]:
+    """Play so slowly that a recording does not end before a busy browser shows that it plays."""
+    page.dashboard.inputs.alter(lambda view: setattr(view, "speed", 0.1))
+    yield
+    page.dashboard.inputs.alter(lambda view: setattr(view, "speed", 1.0))
+
+
+@pytest.mark.usefixtures("_slowly")
 def test_pause_and_resume(page: Page):
     page.press("Resume")
     page.until(lambda: page.text("run-state") == "RUNNING")
@@ -113,6 +122,7 @@ def test_pause_and_resume(page: Page):
     assert page.text("step") == step
 
 
+@pytest.mark.usefixtures("_slowly")
 def test_the_end_is_reached_while_the_recording_plays_and_resume_begins_again(page: Page):
     for go in (lambda: page.press("Go to the end"), lambda: page.key("g")):
         page.dashboard.inputs.alter(lambda view: view.look_at(5))

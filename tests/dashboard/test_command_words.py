@@ -9,6 +9,7 @@ import pytest
 
 from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.frame import LogEntry
 from concord.dashboard.frames.source import CommandAnswer, SourceState
 from concord.dashboard.panels.command_words import in_a_sentence
 from concord.dashboard.serve import open_network
@@ -102,12 +103,15 @@ def test_changes_of_a_paused_network_wait_in_words_until_its_next_step(
     page.controls.commands.tell = lambda client, title, body, trouble: told.append(body)
     assert holds(page, lambda: "PAUSED" in page.controls.status.content)
     assert "waiting" not in page.controls.status.content
-    for command in ({"do": "kill", "node": 2}, {"do": "cut", "sender": 1, "receiver": 7}):
-        page.controls.commands.send(command, None)
+    page.controls.commands.send({"do": "kill", "node": 2}, None)
+    # The network announces all changes, also those that others have asked for.
+    said = ("kill 2", "cut 1 7 one-way", "cut 7 1 one-way", "")
+    pending = tuple(LogEntry(6, "", words=words) for words in said)
+    source.state = source.state._replace(pending=pending)
     words = "2 changes from the next step on: kill node 02; cut the link between 01 and 07"
     assert holds(page, lambda: words in page.controls.status.content)
     assert told[0] == "Kill node 02. It holds from the next step, which waits for Step or Resume."
-    source.state = source.state._replace(completed=7)
+    source.state = source.state._replace(completed=7, pending=())
     assert holds(page, lambda: "waiting" not in page.controls.status.content)
 
 

@@ -151,6 +151,28 @@ def test_of_a_fast_network_a_page_sees_some_steps_all_events_and_the_last(
         assert frame.traffic.sent[0] == (frame.step + 1) * len(frame.cycles)
 
 
+def test_changes_that_others_ask_for_wait_on_the_page_of_a_paused_network(
+    page: LiveNetwork, onlooker: Client
+):
+    def waits(*words: str) -> bool:
+        page.poll()
+        return tuple(one.words for one in page.pace().pending if one.words) == words
+
+    last = _pause(onlooker)
+    for words in ("cut 0 1", "kill 2"):
+        _say(onlooker, words)
+    asked = ("cut 0 1 one-way", "cut 1 0 one-way", "kill 2")
+    assert holds_within(20.0, lambda: waits(*asked))
+    _say(onlooker, "step 1")
+    frames = _until(page, lambda frames: bool(frames) and frames[-1].step == last + 1)
+    words = [event.words for frame in frames for event in frame.events]
+    assert set(asked) <= set(words)
+    assert holds_within(20.0, waits)
+    for words in ("calm", "restart 2"):
+        _say(onlooker, words)
+    assert holds_within(60.0, lambda: waits("calm", "restart 2"))
+
+
 def test_a_page_for_spectators_shows_the_network_and_sends_no_command(
     network: Path, onlooker: Client
 ):
