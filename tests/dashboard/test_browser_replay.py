@@ -104,7 +104,7 @@ def test_the_strip_shows_the_whole_run_and_a_press_on_it_seeks(page: Page):
 @pytest.fixture
 def _slowly(page: Page) -> Iterator[None]:
     """Play so slowly that a recording does not end before a busy browser shows that it plays."""
-    page.dashboard.inputs.alter(lambda view: setattr(view, "speed", 0.1))
+    page.dashboard.inputs.alter(lambda view: setattr(view, "speed", 0.25))
     yield
     page.dashboard.inputs.alter(lambda view: setattr(view, "speed", 1.0))
 
