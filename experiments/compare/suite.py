@@ -113,6 +113,20 @@ SUITE = (
         60,
     ),
     Case(
+        "targets",
+        "three targets, clutter and misses: 10 nodes of target-swarm with a quarter of the bus",
+        {
+            "scenario": "target-swarm",
+            "nodes": "10",
+            "targets": "3",
+            "clutter": "1",
+            "steps": "40",
+            "occupancy": "0.25",
+            "seed": "1",
+        },
+        10,
+    ),
+    Case(
         "mrclam",
         "four real robots track the fifth (UTIAS MRCLAM): recorded data, no simulated noise",
         {"scenario": "mrclam", "target": "4", "steps": "900", "seed": "1"},
