@@ -1,28 +1,44 @@
 """Take pictures of the dashboard: `make screenshots` writes them to runs/screenshots.
 
-`--out` names another folder. Each picture shows a recorded run of this version at a step, in a
-headless Chromium.
+`--out` names another folder. Most pictures show a recorded run of this version at a step, in a
+headless Chromium: each kind of network in four sizes of the window, dark and light, and the cases
+behind the first repairs of the page. The others show a network that runs. `--data` is the folder of
+recorded robots; without it, pictures of `mrclam` are left out.
 """
 
 import argparse
+import itertools
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.expected import Expectation, nothing_expected
-from concord.dashboard.serve import open_recording
+from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.serve import open_network, open_recording
 from concord.experiments.monte_carlo.other_runs import expected, told_by
+from concord.nodes.commands import in_words
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import drive
+from concord.runtime.interpreter import fresh_command, fresh_variables
+from concord.runtime.network.control_client import Client
+from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.frame_formats import frame_format
+from docs.shots import LIVE_SHOTS, SHOTS, LiveShot, Shot
 
 _FLAGS = (
     "--no-sandbox",
@@ -36,96 +52,56 @@ _READY = (
     " && window.__viserTestpoints.rendererInfo.render.frame>2"
 )
 _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
-
-
-class Shot(NamedTuple):
-    """One picture: the scenario with its changes, the step, and the selection on the page."""
-
-    scenario: str
-    changes: dict[str, Any]
-    step: int
-    view: dict[str, Any]
-    light: bool = False
-    size: tuple[int, int] = (1600, 900)
-    tab: str | None = None
-
-
-_HYBRID = {"schedule": "hybrid", "occupancy": 0.5}
-SHOTS = {
-    "dark": Shot("target-tracking", {"nodes": 16, "steps": 90, **_HYBRID}, 78, {"selected": 7}),
-    "light": Shot(
-        "target-tracking", {"nodes": 16, "steps": 90, **_HYBRID}, 78, {"selected": 7}, light=True
-    ),
-    "24-nodes": Shot("target-tracking", {"nodes": 24, "steps": 90, **_HYBRID}, 60, {"selected": 5}),
-    "200-nodes": Shot(
-        "target-tracking",
-        {"nodes": 200, "steps": 45, "schedule": "hybrid", "occupancy": 0.1},
-        44,
-        {"selected": 21},
-    ),
-    "targets": Shot("target-swarm", {"targets": 10}, 70, {"selected": 4}, size=(1366, 768)),
-    "8-nodes": Shot("target-tracking", {"nodes": 8, "steps": 60}, 50, {}, size=(800, 600)),
-    "phone": Shot("target-tracking", {"nodes": 8, "steps": 60}, 50, {}, size=(390, 844)),
-    "100-nodes": Shot(
-        "target-tracking", {"nodes": 100, "steps": 40, "schedule": "hybrid", "occupancy": 0.1}, 39,
-        {"selected": 21}, light=True, size=(1280, 800),
-    ),
-    "vehicle": Shot("vehicle-network", {"steps": 700}, 690, {"selected": 1}),
-    "replay": Shot(
-        "oscillator", {"nodes": 12, "steps": 80, "graph": "small-world"}, 40, {"selected": 4},
-        light=True, size=(1280, 720),
-    ),
-    "400-nodes": Shot(
-        "target-tracking",
-        {"nodes": 400, "steps": 40, "graph": "4-regular", "schedule": "hybrid", "occupancy": 0.05},
-        39,
-        {"selected": 21},
-        size=(1920, 1080),
-    ),
-    "sets": Shot(
-        "liu2021-network", {"steps": 60, "rule": "zonotope"}, 40, {"selected": 2},
-        size=(1920, 1080), tab="Beliefs",
-    ),
-}  # fmt: skip
+_WAIT_S = 240.0
+# Steps that a network has done before something is done to it.
+_FIRST_STEPS = 20
+_LIVE_SIZE = (1280, 800)
 
 
 def main() -> None:
     """Take the named pictures, or all."""
+    names = (*SHOTS, *LIVE_SHOTS)
     parser = argparse.ArgumentParser(prog="docs.screenshots", description=__doc__)
-    parser.add_argument("names", nargs="*", help=f"any of {', '.join(SHOTS)}")
+    parser.add_argument("names", nargs="*", help=f"any of {', '.join(names)}")
     parser.add_argument("--out", type=Path, default=Path("runs/screenshots"))
+    parser.add_argument("--data", help="folder of the recorded robots of UTIAS, set 6")
     options = parser.parse_args()
-    if unknown := set(options.names) - set(SHOTS):
-        parser.error(f"{', '.join(sorted(unknown))}: choose from {', '.join(SHOTS)}")
+    if unknown := set(options.names) - set(names):
+        parser.error(f"{', '.join(sorted(unknown))}: choose from {', '.join(names)}")
     path = shutil.which("chromium")
     if path is None:
         parser.error("there is no chromium; `make browser` as root on Debian installs it")
     from playwright.sync_api import sync_playwright
 
     options.out.mkdir(parents=True, exist_ok=True)
-    with sync_playwright() as playwright:
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path=path, args=[*_FLAGS])
-        for name in options.names or SHOTS:
+        for name in options.names or names:
             file = options.out / f"{name}.png"
-            _take(browser, SHOTS[name], file)
+            if name in LIVE_SHOTS:
+                _shoot_live(browser, LIVE_SHOTS[name], Path(folder) / name, file)
+            elif SHOTS[name].scenario != "mrclam" or options.data is not None:
+                _shoot_recorded(browser, SHOTS[name], Path(folder), options.data, file)
             sys.stderr.write(f"{file}\n")
         browser.close()
 
 
-def _take(browser: Any, shot: Shot, file: Path) -> None:
-    setup = prepare(definition_named(shot.scenario).defaults.with_(**shot.changes))
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "run.mcap"
-        recorder = McapRecorder(
-            recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
-        )
-        drive(setup, recorder, lambda _: None)
-        recorder.close()
-        page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, _expectation(setup))
-        try:
-            _shoot(browser, page, shot, file)
-        finally:
-            page.close()
+@cache
+def _recorded(
+    scenario: str, changes: str, folder: Path, data: str | None
+) -> tuple[Setup, Path, Expectation]:
+    """Return the setup of a run with these changes (JSON), its recording, and what is expected."""
+    told = msgspec.json.decode(changes)
+    if scenario == "mrclam":
+        told["data"] = data
+    setup = prepare(definition_named(scenario).defaults.with_(**told))
+    file = Path(tempfile.mkdtemp(dir=folder)) / "run.mcap"
+    recorder = McapRecorder(
+        file, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+    )
+    drive(setup, recorder, lambda _: None)
+    recorder.close()
+    return setup, file, _expectation(setup)
 
 
 def _expectation(setup: Setup) -> Expectation:
@@ -136,16 +112,23 @@ def _expectation(setup: Setup) -> Expectation:
     return lambda times: expected(told, setup.time_step_s, times)
 
 
+def _shoot_recorded(browser: Any, shot: Shot, folder: Path, data: str | None, file: Path) -> None:
+    changes = msgspec.json.encode(shot.changes).decode()
+    setup, recording, values = _recorded(shot.scenario, changes, folder, data)
+    page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, values)
+    try:
+        _shoot(browser, page, shot, file)
+    finally:
+        page.close()
+
+
 def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
     view, clock_s = page.view, 1.0
     view.playing = view.follow = False
     while page.source.pace().state == "LOADING":
         clock_s += 1
         page.tick(clock_s)
-    width, height = shot.size
-    tab = browser.new_page(viewport={"width": width, "height": height})
-    tab.goto(f"{page.url}&fixedDpr=1")
-    tab.wait_for_function(_READY, timeout=60_000)
+    tab = _opened(browser, page, shot.size)
     for name, value in shot.view.items():
         setattr(view, name, value)
     for _ in range(5):
@@ -158,9 +141,88 @@ def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
     if shot.tab:
         tab.get_by_text(shot.tab, exact=True).first.click()
     tab.evaluate(_CLOSE)
+    _finish(tab, file)
+
+
+def _opened(browser: Any, page: Dashboard, size: tuple[int, int]) -> Any:
+    tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    tab.set_default_timeout(1e3 * _WAIT_S)
+    tab.goto(f"{page.url}&fixedDpr=1")
+    tab.wait_for_function(_READY)
+    return tab
+
+
+def _finish(tab: Any, file: Path) -> None:
     tab.wait_for_timeout(2500)
     tab.screenshot(path=str(file))
     tab.close()
+
+
+def _shoot_live(browser: Any, shot: LiveShot, folder: Path, file: Path) -> None:
+    with _network(shot.steps, folder) as process, ExitStack() as opened:
+        client = _client(folder)
+        opened.callback(client.close)
+        shown_page: list[tuple[Dashboard, Any]] = []
+        for act in shot.acts:
+            if act == "wait":
+                _wait(lambda: client.state()["completed"] >= _FIRST_STEPS)
+            elif act == "open":
+                source = LiveNetwork(read_network(folder).connect, client.run)
+                page = open_network(source, folder, "127.0.0.1", 0, light=False)
+                opened.callback(page.close)
+                shown_page.append((page, _opened(browser, page, _LIVE_SIZE)))
+            elif act == "end":
+                process.terminate()
+            else:
+                _wait(lambda act=act: client.command(in_words(act.split())).accepted)
+        ((page, tab),) = shown_page
+        clock_s = itertools.count(1.0)
+
+        def shown() -> bool:
+            page.tick(next(clock_s))
+            return page.source.pace().state == shot.state
+
+        _wait(shown)
+        for _ in range(20):
+            shown()
+            tab.wait_for_timeout(100)
+        _finish(tab, file)
+
+
+@contextmanager
+def _network(steps: int, folder: Path) -> Iterator["subprocess.Popen[bytes]"]:
+    """Start a network of eight processes, and end it."""
+    options = ("--driver", "processes", "--nodes", "8", "--steps", str(steps), "--out", str(folder))
+    command = fresh_command("concord.experiments", "run", *options)
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdout=quiet, stderr=quiet, env=fresh_variables())
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _client(folder: Path) -> Client:
+    """Return a client of the network in a folder, as soon as that answers."""
+    found: list[Client] = []
+
+    def connects() -> bool:
+        with suppress(OSError, ValueError):
+            reach = read_network(folder)
+            found.append(Client(reach.connect, reach.run))
+        return bool(found) and found[-1].state()["begun"]
+
+    _wait(connects)
+    return found[-1]
+
+
+def _wait(holds: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + _WAIT_S
+    while not holds():
+        if time.monotonic() > until_s:
+            raise TimeoutError("a network has not come to the state of its picture")
+        time.sleep(0.1)
 
 
 if __name__ == "__main__":

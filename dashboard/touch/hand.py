@@ -22,6 +22,11 @@ from concord.dashboard.touch.menu import RIGHT_BUTTON, PointerMenu
 from concord.dashboard.touch.picking import Picked, pick
 from concord.nodes.commands import in_words
 
+_KEEPS_ITS_PLACE = (
+    "a drag draws a link, and ends at another node; a node keeps its place, because the plant makes "
+    "its readings from there"
+)
+
 
 class Hand:
     """Menus and drags in the scene of a network that takes commands."""
@@ -78,9 +83,10 @@ class Hand:
         self.ghosts.let_go()
         camera = np.array(event.client.camera.position)
         picked = self._picked(camera, np.array(event.end_position) - camera)
-        if picked is None or len(picked.nodes) != 1 or picked.nodes[0] == node:
-            return
-        self._draw_link(frame, (node, picked.nodes[0]), event.client)
+        if picked is None or len(picked.nodes) != 1:
+            self._commands.tell(event.client, "Refused", _KEEPS_ITS_PLACE, True)
+        elif picked.nodes[0] != node:
+            self._draw_link(frame, (node, picked.nodes[0]), event.client)
 
     def _draw_link(
         self, frame: StepFrame, ends: tuple[int, int], client: viser.ClientHandle

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -150,6 +151,24 @@ def test_a_press_on_resume_resumes_whatever_has_come_before_its_turn(
     turn.set()
     assert holds(page, lambda: len(source.asked) == 2)
     assert source.asked == ["resume", "resume"]
+
+
+def test_a_drag_that_ends_at_no_node_says_that_a_node_keeps_its_place(
+    page: Dashboard, source: Scripted
+):
+    told: list[str] = []
+    page.controls.commands.tell = lambda client, title, body, trouble: told.append(body)
+    assert holds(page, lambda: page.page.scene.at is not None)
+    at, hand = page.page.scene.at, page._hand
+    assert at is not None
+    assert hand is not None
+    above = SimpleNamespace(camera=SimpleNamespace(position=(0.0, 0.0, 60.0)))
+    for end in (at[2], np.array([30.0, 30.0, 0.0])):
+        drag = {"instance_index": 2, "phase": "end", "end_position": end, "client": above}
+        hand._drag(SimpleNamespace(**drag))
+    assert len(told) == 1
+    assert "a node keeps its place" in told[0]
+    assert source.asked == []
 
 
 def test_the_slider_shows_the_speed_in_force(page: Dashboard, source: Scripted):
