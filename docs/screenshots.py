@@ -153,7 +153,8 @@ def _opened(browser: Any, page: Dashboard, size: tuple[int, int]) -> Any:
 
 
 def _finish(tab: Any, file: Path) -> None:
-    tab.wait_for_timeout(2500)
+    # The letters of the scene come last.
+    tab.wait_for_timeout(6000)
     tab.screenshot(path=str(file))
     tab.close()
 
@@ -162,30 +163,35 @@ def _shoot_live(browser: Any, shot: LiveShot, folder: Path, file: Path) -> None:
     with _network(shot.steps, folder) as process, ExitStack() as opened:
         client = _client(folder)
         opened.callback(client.close)
-        shown_page: list[tuple[Dashboard, Any]] = []
+        clock_s = itertools.count(1.0)
+        shown: list[tuple[Dashboard, Any]] = []
+
+        def wait(holds: Callable[[], bool]) -> None:
+            def drawn_holds() -> bool:
+                for page, _ in shown:
+                    page.tick(next(clock_s))
+                return holds()
+
+            _wait(drawn_holds)
+
         for act in shot.acts:
             if act == "wait":
-                _wait(lambda: client.state()["completed"] >= _FIRST_STEPS)
+                wait(lambda: client.state()["completed"] >= _FIRST_STEPS)
             elif act == "open":
                 source = LiveNetwork(read_network(folder).connect, client.run)
                 page = open_network(source, folder, "127.0.0.1", 0, light=False)
                 opened.callback(page.close)
-                shown_page.append((page, _opened(browser, page, _LIVE_SIZE)))
+                shown.append((page, _opened(browser, page, _LIVE_SIZE)))
             elif act == "end":
                 process.terminate()
             else:
-                _wait(lambda act=act: client.command(in_words(act.split())).accepted)
-        ((page, tab),) = shown_page
-        clock_s = itertools.count(1.0)
-
-        def shown() -> bool:
-            page.tick(next(clock_s))
-            return page.source.pace().state == shot.state
-
-        _wait(shown)
+                wait(lambda act=act: client.command(in_words(act.split())).accepted)
+        ((page, tab),) = shown
+        wait(lambda: page.source.pace().state == shot.state)
         for _ in range(20):
-            shown()
+            page.tick(next(clock_s))
             tab.wait_for_timeout(100)
+        tab.evaluate(_CLOSE)
         _finish(tab, file)
 
 

@@ -35,6 +35,10 @@ _ZERO: Any = (0.0, 1.0)
 _PEAK, _LOWER_PEAK = 50.0, 25.0
 
 
+_BEGINNING = (
+    '<div style="padding:10px 14px;font-size:12px;opacity:.7">'
+    "The charts begin with the second step that this page receives.</div>"
+)
 # A plot is used again after three others, when no browser shows it any more.
 _HANDLES = 4
 
@@ -235,6 +239,8 @@ class Charts:
             Plot(gui, container, chart, theme, height, place)
             for place, chart in enumerate(charts, 1)
         ]
+        with container:
+            self.beginning: Any = gui.add_html(_BEGINNING, order=0)
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint."""
@@ -248,6 +254,7 @@ class Charts:
 
     def draw(self, sample: Sample) -> None:
         """Show every step of a sample."""
+        self.beginning.visible = len(sample.times) < 2
         for plot in self._plots:
             plot.show(sample)
 

@@ -23,8 +23,8 @@ from concord.dashboard.touch.picking import Picked, pick
 from concord.nodes.commands import in_words
 
 _KEEPS_ITS_PLACE = (
-    "a drag draws a link, and ends at another node; a node keeps its place, because the plant makes "
-    "its readings from there"
+    "a drag draws a link, and ends at another node; a node keeps its place, because the plant "
+    "makes its readings from there"
 )
 
 

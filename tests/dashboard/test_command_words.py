@@ -124,8 +124,10 @@ def test_a_page_on_a_paused_network_says_that_it_waits_for_a_step(
     assert holds(page, lambda: words in page.controls.status.content)
     # Nothing is drawn in place of what is not known.
     assert all(not len(chart.times) for chart in page.page.charts.drawn)
+    assert page.page.charts.beginning.visible
     source.frames = frames
     assert holds(page, lambda: words not in page.controls.status.content)
+    assert holds(page, lambda: not page.page.charts.beginning.visible)
 
 
 def test_the_filter_that_hears_everything_is_not_begun_in_the_middle():
