@@ -1,9 +1,9 @@
 """Take pictures of the dashboard: `make screenshots` writes them to runs/screenshots.
 
 `--out` names another folder. Most pictures show a recorded run of this version at a step, in a
-headless Chromium: each kind of network in four sizes of the window, dark and light, and the cases
-behind the first repairs of the page. The others show a network that runs. `--data` is the folder of
-recorded robots; without it, pictures of `mrclam` are left out.
+headless Chromium. They have each kind of network in four sizes of the window, dark and light, and
+the cases behind the first repairs of the page. The others show a network that runs. `--data` is the
+folder of recorded robots; without it, pictures of `mrclam` are left out.
 """
 
 import argparse
@@ -185,7 +185,7 @@ def _shoot_live(browser: Any, shot: LiveShot, folder: Path, file: Path) -> None:
             elif act == "end":
                 process.terminate()
             else:
-                wait(lambda act=act: client.command(in_words(act.split())).accepted)
+                client.command(in_words(act.split()))
         ((page, tab),) = shown
         wait(lambda: page.source.pace().state == shot.state)
         for _ in range(20):
