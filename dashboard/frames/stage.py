@@ -135,7 +135,7 @@ def set_stage(setup: Setup) -> Stage:
         bus=build_bus(setup),
         names=_names(setup, picture),
         state_names=tuple(plant.state_names),
-        state_units=tuple(unit.replace("^2", "²") for unit in plant.state_units),
+        state_units=tuple(plant.state_units),
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
         heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
         score=definition.score,

@@ -42,9 +42,9 @@ def transfer_function() -> Rational:
 
 
 def cruise(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
-    """Return the network: seeing node i measures the speed with variance .5 (1 + i) (m/s)^2.
+    """Return the network: seeing node i measures the speed with variance .5 (1 + i) (m/s)².
 
-    Matched process noise: white acceleration of density .1 (m/s)^2/s. See networks.py for the
+    Matched process noise: white acceleration of density .1 (m/s)²/s. See networks.py for the
     presets and the blind nodes; raises ValueError for an unknown preset or no nodes.
     """
     continuous = dynamics()

@@ -1,6 +1,6 @@
 """The single-track model with three degrees of freedom that estimators use, and its tyres.
 
-State [yaw rate rad/s, side slip rad, speed m/s], control [steering rad, acceleration m/s^2], where
+State [yaw rate rad/s, side slip rad, speed m/s], control [steering rad, acceleration m/s²], where
 the acceleration is the body accelerometer's, vx' - yaw rate vy. Angles may be large: forces turn
 with the road wheels, and slips are arctangents. The driven axle has all of the longitudinal force.
 
@@ -105,7 +105,7 @@ class SingleTrack:
     def accelerations(
         self, state: np.ndarray, control: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations (...) of the centre of mass: lateral, m/s^2, and of the yaw, rad/s^2.
+        """Accelerations (...) of the centre of mass: lateral, m/s², and of the yaw, rad/s².
 
         Driven front wheels pull along their own direction; what they need for that has a part
         across the car.

@@ -20,7 +20,7 @@ from concord.plants.vehicle.parameters import Car, SensorSheet
 from concord.plants.vehicle.sensors import SensorError, contaminated, noise_std
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
-STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s^2")
+STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s²")
 YAW_RATE, SIDE_SLIP, SPEED, HEADING, STEERING, ACCELERATION = range(6)
 PLACE = slice(6, 8)
 PLACE_NAMES, PLACE_UNITS = ("x", "y"), ("m", "m")
@@ -48,8 +48,8 @@ CHANNEL_NAMES = (
     (("left wheel speed", "m/s"), ("right wheel speed", "m/s")),
     (
         ("yaw rate", "rad/s"),
-        ("lateral acceleration", "m/s^2"),
-        ("longitudinal acceleration", "m/s^2"),
+        ("lateral acceleration", "m/s²"),
+        ("longitudinal acceleration", "m/s²"),
     ),
     (("steering angle", "rad"),),
     (("speed over ground", "m/s"), ("course over ground", "rad"), ("x", "m"), ("y", "m")),

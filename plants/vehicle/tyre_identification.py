@@ -28,7 +28,7 @@ MODEL_STEP_S = 0.005
 ModelOfDrive = Callable[[Car, Axles, Tyre, float], SingleTrack]
 
 _SCALES = (0.01, 0.2, 0.002)
-"""Of the residuals: yaw rate rad/s, lateral acceleration m/s^2, side slip rad."""
+"""Of the residuals: yaw rate rad/s, lateral acceleration m/s², side slip rad."""
 
 _LEAST_CORNERING_M_S2 = 1.5
 
@@ -43,7 +43,7 @@ class Identified(NamedTuple):
         stiffness_std_n_rad: standard errors (2,) of front and rear.
         friction_std: that of the friction, NaN if it was not sought.
         steering_offset_rad: to be added to the logged steering.
-        residual_rms: of yaw rate rad/s, lateral acceleration m/s^2 and side slip rad, NaN where
+        residual_rms: of yaw rate rad/s, lateral acceleration m/s² and side slip rad, NaN where
             nothing was logged.
         condition: of the scaled problem; above some 1e3 the drive says too little.
     """
@@ -219,7 +219,7 @@ def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m
     cornering = np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max()
     if cornering < _LEAST_CORNERING_M_S2:
         raise ValueError(
-            f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s^2 at most, "
+            f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s² at most, "
             "which tells nothing of the tyres; give a drive with fast curves of "
-            f"{_LEAST_CORNERING_M_S2:g} m/s^2 or more, or correct the units of the log"
+            f"{_LEAST_CORNERING_M_S2:g} m/s² or more, or correct the units of the log"
         )

@@ -27,5 +27,5 @@ def outside_model(track: SingleTrack, states: np.ndarray) -> dict[str, np.ndarra
         f"slip of an axle above {LARGEST_SLIP_RAD:g} rad": (
             np.maximum(*np.abs(slips)) > LARGEST_SLIP_RAD
         ),
-        f"lateral acceleration above {limit:.2g} m/s^2": felt > limit,
+        f"lateral acceleration above {limit:.2g} m/s²": felt > limit,
     }

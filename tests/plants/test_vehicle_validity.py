@@ -24,7 +24,7 @@ def test_each_reason_is_found_alone():
         state(speed=2.9),
         state(speed=5.0, steering=0.2),
         state(side_slip=-0.2, steering=-0.2),
-        # 0.8 of a friction of 1.05 are 8.2 m/s^2; slips are 0.06 rad.
+        # 0.8 of a friction of 1.05 are 8.2 m/s²; slips are 0.06 rad.
         state(yaw_rate=0.45, side_slip=-0.03, steering=0.05),
     )
     assert straight == []

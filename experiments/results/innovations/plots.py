@@ -24,6 +24,7 @@ def innovation_figure(data: "xarray.Dataset", first: int, title: str) -> "Figure
     hears everything where the file has it, else those of the nodes.
     """
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import MaxNLocator
 
     own = _read(data, "")
     heard = _read(data, _CENTRALISED) if f"{_CENTRALISED}nis" in data else None
@@ -33,6 +34,8 @@ def innovation_figure(data: "xarray.Dataset", first: int, title: str) -> "Figure
     _over_time(over_time, data["time"].to_numpy(), own, heard)
     judged = own if heard is None else heard
     _by_node(squares, means, Innovations(*(values[:, first:] for values in judged)))
+    for axes in (squares, means):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     over_time.set_title(title, loc="left")
     of = "nodes" if heard is None else "filter that hears everything"
     squares.set_title(f"channels of the {of}, {_CONFIDENCE:.0%} intervals", loc="left")
