@@ -7,8 +7,9 @@ without a new line here. Drivers that pass messages give equal bits, the batched
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,9 +23,12 @@ from concord.runtime.drivers import DRIVERS, in_memory
 from concord.scenarios.bus_plan import cluster_names
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.declarations import every_option
+from concord.scenarios.types.option import name_of
+from concord.scenarios.types.rules import RuleChoice, UserRule
 from concord.topology.choices import GRAPHS, WEIGHTS
 from concord.topology.link_names import EXAMPLES as LINK_EXAMPLES
 from tests.experiments.support import scenario, trace_of
@@ -132,6 +136,18 @@ def _running(group: str, folder: Path) -> Iterator[Setup]:
                 yield prepared(entry, folder)
             except ValueError:
                 continue
+
+
+def test_a_rule_is_built_for_every_scenario_or_by_the_wiring_of_some():
+    wired = {rule for definition in definitions().values() for rule in definition.wirings}
+    for rule in get_args(RuleChoice):
+        asked = msgspec.structs.replace(scenario(FIRST), rule=rule())
+        if rule.unavailable:
+            assert name_of(rule) in wired
+            with pytest.raises(ValueError, match=rule.unavailable):
+                rule_of(asked)
+        elif rule is not UserRule:
+            assert rule_of(asked).estimator
 
 
 def test_most_entries_run(tmp_path: Path):
