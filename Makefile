@@ -9,9 +9,9 @@ demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
 		--rule sharp-ci --schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
-# A worker for each processor; the tests of a file stay together. The long tests often wait for
-# processes and clocks, so three workers share two processors.
-PYTEST := $(BIN)/python -m pytest --dist loadfile
+# A worker for each processor; the tests of a file stay together, in the order of tests/conftest.py.
+# The long tests often wait for processes and clocks, so three workers share two processors.
+PYTEST := $(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder
 LONG_WORKERS := $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 LONG := slow or zenoh or browser
 

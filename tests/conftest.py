@@ -5,6 +5,7 @@ import os
 # This runs before numpy is imported: results must not depend on how many threads share a sum.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,8 +22,21 @@ settings.register_profile("ci", settings.get_profile("concord"), derandomize=Tru
 settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
+LONGEST = (
+    "papers/test_labelled_study", "papers/test_reproduce_wac", "experiments/test_simulation_testing",
+    "papers/test_reproduce_adlukf", "experiments/identification/test_without_slip",
+    "endurance/test_supervision", "experiments/test_up", "test_batched_agreement",
+    "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",
+)  # fmt: skip
+"""Files that take a worker more than a minute. A file that starts last lets the others wait."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that look at a page in a browser."""
+    """Mark the tests that look at a page in a browser; put the files that take longest first."""
+    sizes = Counter(item.path for item in items)
+    places = {ROOT / "tests" / f"{name}.py": place for place, name in enumerate(LONGEST)}
+    assert all(file.is_file() for file in places), "a name in LONGEST is that of no file"
+    items.sort(key=lambda item: (places.get(item.path, len(places)), -sizes[item.path]))
     for item in items:
         if "chromium" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
