@@ -23,7 +23,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
 LONGEST = (
-    "papers/test_labelled_study", "papers/test_reproduce_wac", "experiments/test_simulation_testing",
+    "papers/test_labelled_study", "papers/test_reproduce_wac",
+    "experiments/test_simulation_testing",
     "papers/test_reproduce_adlukf", "experiments/identification/test_without_slip",
     "endurance/test_supervision", "experiments/test_up", "test_batched_agreement",
     "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",

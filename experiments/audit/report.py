@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from concord.experiments.audit.evidence import Evidence, read_evidence
 from concord.experiments.audit.member_history import member_history_of
 from concord.experiments.audit.promises import PROMISES, Account, Run, RunPromise, source_of
+from concord.experiments.monte_carlo.intervals import chi_square_quantile
 from concord.scenarios.rules import is_set_valued
 
 _STEPS_AROUND = 10
@@ -111,7 +111,7 @@ def _around(evidence: Evidence) -> list[Around]:
     if is_set_valued(evidence.scenario):
         return []
     nees = evidence.arrays["nees"]
-    bound = chi2.ppf(_RARE, len(np.atleast_1d(nees.attrs["states"])))
+    bound = chi_square_quantile(_RARE, len(np.atleast_1d(nees.attrs["states"])))
     values = np.ma.masked_invalid(nees.values).mean(axis=1).filled(np.nan)
     found = []
     events = [one for one in evidence.events if one[1]["what"] != "pace"]

@@ -78,11 +78,18 @@ def write_dataset(
     Raises:
         NotWritten: the disk does not take it.
     """
+    from xarray.backends import H5NetCDFStore
+
     part = path.with_name(f"{path.name}.part")
     try:
         with writing(path):
             with _Patient(part) as file:
-                dataset.to_netcdf(file, engine="h5netcdf", encoding=encoding)
+                # `to_netcdf` asks for a lock, and loads all of dask for it where that is installed.
+                store = H5NetCDFStore.open(file, mode="w", lock=False)
+                try:
+                    dataset.dump_to_store(store, encoding=encoding)
+                finally:
+                    store.close()
                 if file.error is not None:
                     raise file.error
             part.replace(path)

@@ -2,9 +2,13 @@
 
 import msgspec
 import numpy as np
-from scipy import stats
 
-from concord.experiments.monte_carlo.intervals import Interval, mean_t, positive_mean_t
+from concord.experiments.monte_carlo.intervals import (
+    Interval,
+    chi_square_quantile,
+    mean_t,
+    positive_mean_t,
+)
 from concord.filters.metrics import nees
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
 
@@ -53,7 +57,7 @@ def row(
     cov = outcome.cov[1:, ~lost]
     squared = (kept**2).mean(axis=0)
     normalised = nees(kept, cov)
-    inside = normalised <= stats.chi2.ppf(ELLIPSE, errors.shape[-1])
+    inside = normalised <= chi_square_quantile(ELLIPSE, errors.shape[-1])
     trace = np.trace(cov, axis1=-2, axis2=-1).mean()
     return EstimatorRow(
         name,

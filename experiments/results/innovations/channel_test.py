@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval, mean_t
+from concord.experiments.monte_carlo.intervals import Interval, chi_square_quantile, mean_t
 
 LEAST_UPDATES, LEAST_SERIES = 8, 20
 """A channel with fewer updates is not tested, and with fewer than the second not for whiteness.
@@ -56,11 +56,11 @@ def channel_test(innovations: np.ndarray, variances: np.ndarray) -> ChannelTest:
         known = Interval(float(np.mean(values**2)), np.nan, np.nan) if updates else unknown
         return ChannelTest(updates, known, unknown, *(np.nan,) * 6)
     # Only here: scipy takes longer to load than most commands take.
-    from scipy.stats import chi2
+    from scipy.special import chdtr, chdtrc
 
     shift = float(values.mean())
     squares = float(((values - shift) ** 2).sum())
-    p_spread = 2 * min(chi2.cdf(squares, updates - 1), chi2.sf(squares, updates - 1))
+    p_spread = 2 * min(chdtr(updates - 1, squares), chdtrc(updates - 1, squares))
     correlation, p_white = _whiteness([row - shift for row in series])
     return ChannelTest(
         updates,
@@ -80,10 +80,8 @@ def nis_interval(total: float, freedoms: int, confidence: float = 0.95) -> Inter
 
     The interval is that of a variance: total / chi-square quantiles of so many degrees of freedom.
     """
-    from scipy.stats import chi2
-
     tail = (1 - confidence) / 2
-    low, high = chi2.ppf((1 - tail, tail), freedoms)
+    low, high = (chi_square_quantile(part, freedoms) for part in (1 - tail, tail))
     return Interval(total / freedoms, float(total / low), float(total / high))
 
 
@@ -102,7 +100,7 @@ def _p_of_mean(values: np.ndarray, p_white: float) -> float:
 
 def _whiteness(series: list[np.ndarray]) -> tuple[float, float]:
     """The correlation at lag 1, and the p value of Ljung and Box, of runs without their mean."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     squares = sum(float((row**2).sum()) for row in series)
     statistic, freedoms, products = 0.0, 0, 0.0
@@ -119,4 +117,4 @@ def _whiteness(series: list[np.ndarray]) -> tuple[float, float]:
         freedoms += lags
     if not freedoms:
         return np.nan, np.nan
-    return float(products / squares), float(chi2.sf(statistic, freedoms))
+    return float(products / squares), float(chdtrc(freedoms, statistic))

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from concord.experiments.monte_carlo.intervals import chi_square_quantile
 from concord.experiments.results.innovations.figures import nis_per_step
 from concord.experiments.results.palette import COLOURS, GREY
 from concord.scenarios.innovations import Innovations
@@ -51,13 +52,12 @@ def _read(data: "xarray.Dataset", prefix: str) -> Innovations:
 
 def _over_time(axes: Any, time: np.ndarray, own: Innovations, heard: Innovations | None) -> None:
     """NIS per degree of freedom in each step, and where the mean of all runs is expected."""
-    from scipy.stats import chi2
-
     freedoms = own.entries.sum(axis=(0, 2, 3))
     there = freedoms > 0
     tails = ((1 - _CONFIDENCE) / 2, (1 + _CONFIDENCE) / 2)
     counts = np.maximum(freedoms, 1)
-    low, high = (np.where(there, chi2.ppf(tail, counts) / counts, np.nan) for tail in tails)
+    limits = (chi_square_quantile(tail, counts) / counts for tail in tails)
+    low, high = (np.where(there, limit, np.nan) for limit in limits)
     axes.fill_between(time, low, high, color=GREY, alpha=0.2, linewidth=0,
                       label="19 of 20, if independent")  # fmt: skip
     lines = [(own, COLOURS[0], "-", "nodes")]
@@ -75,8 +75,6 @@ def _over_time(axes: Any, time: np.ndarray, own: Innovations, heard: Innovations
 
 def _by_node(squares: Any, means: Any, found: Innovations) -> None:
     """NIS and mean of each channel of each node."""
-    from scipy.stats import chi2
-
     variances = np.diagonal(found.cov, axis1=-2, axis2=-1)
     normalised = found.value / np.sqrt(variances)
     entries = normalised.shape[-1]
@@ -88,7 +86,7 @@ def _by_node(squares: Any, means: Any, found: Innovations) -> None:
         total = np.nansum(values**2, axis=(0, 1, 3))[nodes]
         mean = np.nansum(values, axis=(0, 1, 3))[nodes] / counts
         places = nodes + 0.6 * ((entry + 0.5) / entries - 0.5)
-        low, high = (total / chi2.ppf(tail, counts) for tail in (0.975, 0.025))
+        low, high = (total / chi_square_quantile(tail, counts) for tail in (0.975, 0.025))
         style: dict[str, Any] = {"fmt": "o", "markersize": 3, "color": COLOURS[2 + entry % 5]}
         bars = np.stack([total / counts - low, high - total / counts])
         squares.errorbar(places, total / counts, bars, label=f"channel {entry}", **style)
