@@ -3,10 +3,12 @@
 import math
 from collections.abc import Sequence
 
+import msgspec
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.frame import Frame
 
@@ -31,6 +33,13 @@ def long_division(bits: str, polynomial: int, width: int, initial: int) -> int:
 
 def binary(data: bytes) -> str:
     return "".join(f"{byte:08b}" for byte in data)
+
+
+def broken(cluster: Cluster, **fields: object) -> str:
+    """Return why a cluster with these fields is refused."""
+    with pytest.raises(ClusterError) as refused:
+        msgspec.structs.replace(cluster, **fields)
+    return str(refused.value)
 
 
 @st.composite

@@ -4,12 +4,13 @@ import msgspec
 import pytest
 
 from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS, offset_correction_macroticks
-from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.files.cluster_files import cluster_from_toml, cluster_to_toml
 from concord.bus.flexray.files.fibex import WITHOUT_ELEMENT, cluster_from_fibex
 from concord.bus.flexray.files.fibex_writing import cluster_to_fibex
 from concord.bus.flexray.levels import broken_rules, precision_us
 from concord.bus.flexray.presets import DEMO
+from tests.bus.support import broken
 
 PRODUCTION = Cluster(
     name="production",
@@ -47,12 +48,6 @@ PRODUCTION = Cluster(
 )
 """The cluster of vectorgrp/sil-kit's demos (ConfigBuilderTest, 70 slots of 31 macroticks), with a
 payload that fits its slot, and key slots."""
-
-
-def broken(cluster: Cluster, **fields: object) -> str:
-    with pytest.raises(ClusterError) as refused:
-        msgspec.structs.replace(cluster, **fields)
-    return str(refused.value)
 
 
 @pytest.mark.parametrize("printed", ["1.375", "1.3751", "1.37513751375"])

@@ -5,16 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.constraints import PARAMETERS
 from concord.bus.flexray.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
-from tests.bus.support import clusters, quick
-
-
-def broken(cluster: Cluster, **fields: object) -> str:
-    with pytest.raises(ClusterError) as refused:
-        msgspec.structs.replace(cluster, **fields)
-    return str(refused.value)
+from tests.bus.support import broken, clusters, quick
 
 
 def test_audi_has_the_grid_of_the_recording():

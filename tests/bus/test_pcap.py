@@ -2,7 +2,6 @@
 
 import shutil
 import struct
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from concord.bus.recordings.pcap import (
     write_pcap,
 )
 from tests.bus.support import frames, quick
+from tests.experiments.flexray_support import dissect
 
 needs_tshark = pytest.mark.skipif(
     shutil.which("tshark") is None, reason="tshark is not installed (apt-get install tshark)"
@@ -59,17 +59,6 @@ def test_error_flags_tell_header_from_frame_crc():
 def test_a_symbol_is_its_kind_and_its_low_bits():
     assert packet(CapturedSymbol(0, 39))[16:] == bytes((0x02, 39))
     assert packet(CapturedSymbol(0, 600, "B"))[16:] == bytes((0x82, 127))
-
-
-def dissect(path: Path, *fields: str) -> list[list[str]]:
-    options = [option for field in fields for option in ("-e", field)]
-    result = subprocess.run(
-        ["tshark", "-r", str(path), "-T", "fields", "-E", "separator=;", *options],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return [line.split(";") for line in result.stdout.splitlines()]
 
 
 @needs_tshark

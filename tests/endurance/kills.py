@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 import tyro
 
+from benchmarks.measure import say
 from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.commands import Restart, Speed
 from concord.nodes.tempo import Tempo
@@ -126,12 +127,6 @@ def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
 def launcher_process_of(pids: dict[str, int]) -> int:
     """The parent of all."""
     return int((PROC / str(pids["environment"]) / "stat").read_text().rpartition(")")[2].split()[1])
-
-
-def say(text: str) -> None:
-    """One line."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> None:

@@ -5,7 +5,6 @@ prints how old estimates were when they were sent and when the next ones replace
 """
 
 import os
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from benchmarks.measure import say
 from concord.experiments.audit.report import audit
 from concord.experiments.results.folder import ARRAYS, describe, write_arrays
 from concord.experiments.results.netcdf_file import read_dataset
@@ -100,12 +100,6 @@ def account(folder: Path) -> None:
         f"{np.quantile(nees[came], 0.99):.2f}; oldest estimate of each node when it was sent, s: "
         + ", ".join(f"{age:.2f}" for age in np.nanmax(ages_s, axis=0))
     )
-
-
-def say(text: str) -> None:
-    """Print at once."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from pathlib import Path
 from concord.experiments.audit.report import audit
 from concord.experiments.results.folder import describe, write_arrays
 from concord.experiments.results.trace import Trace, read_trace
+from concord.runtime.drivers import in_this_process
 from concord.runtime.recording import read_recording
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
@@ -25,6 +26,13 @@ def small(name: str = "oscillator", **changes) -> Setup:
 def trace_of(setup: Setup, recording: Path) -> Trace:
     """The arrays of a recording."""
     return read_trace(setup, read_recording(recording))
+
+
+def reference(setup: Setup, folder: Path) -> Trace:
+    """The run in this process."""
+    file = folder / "reference.mcap"
+    in_this_process(setup, "reference", file, None, lambda step: None)
+    return trace_of(setup, file)
 
 
 def broken_promises(setup: Setup, folder: Path) -> list[str]:

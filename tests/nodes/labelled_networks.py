@@ -10,7 +10,7 @@ import numpy as np
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.numbered_fragments import read_body
-from concord.bus.schedule import Schedule
+from concord.bus.schedule import Schedule, full_publish
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.messages import Measured, decode, from_wire
@@ -24,7 +24,7 @@ from concord.nodes.rules.window_filter import WindowFilter
 from concord.papers.labelled import record_search
 from concord.papers.labelled.record_search import Held
 from concord.runtime.in_process import Link
-from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, with_slots
+from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, path, with_slots
 from tests.nodes.rule_networks import F, Q, noise_cov
 
 PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))
@@ -218,3 +218,11 @@ def fate(seed: int, probability: float) -> tuple[Link, Callable[[int, int, int],
         return (frame,) if arrives(sender, receiver, read_frame(frame).cycle) else ()
 
     return link, arrives
+
+
+def lone(seeing: list[int], **options: Any) -> LabelledFlooding:
+    """Node 1 of the path 0 - 1 - 2."""
+    net = labelled(path(3), steps=9, rounds=1, seeing=seeing, schedule=full_publish(3), **options)
+    estimator = net.nodes[1].estimator
+    assert isinstance(estimator, LabelledFlooding)
+    return estimator

@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 
 from concord.experiments.agreement import first_difference
-from concord.experiments.results.trace import Trace
-from concord.runtime.drivers import in_this_process
 from concord.runtime.network.links import ENVIRONMENT, RECORDER, free_ports, names
 from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
-from tests.experiments.support import small, trace_of
+from tests.experiments.support import reference, small, trace_of
 from tests.processes import PROC, Family, family
 from tests.relay import Relay
 
@@ -99,12 +97,6 @@ def network(
             yield run, relay
     finally:
         relay.close()
-
-
-def reference(setup: Setup, folder: Path) -> Trace:
-    file = folder / "reference.mcap"
-    in_this_process(setup, "reference", file, None, lambda step: None)
-    return trace_of(setup, file)
 
 
 def await_pid(run: Family, name: str) -> int:

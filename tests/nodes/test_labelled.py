@@ -24,6 +24,7 @@ from tests.nodes.labelled_networks import (
     held_by,
     kalman,
     labelled,
+    lone,
     reachable,
     taken,
 )
@@ -233,14 +234,6 @@ def test_any_order_of_arrival_gives_the_same_bits(net: Network, seed: int, loss:
 
 
 # --- bids and composition ------------------------------------------------------------------------
-
-
-def lone(seeing: list[int], **options: Any) -> LabelledFlooding:
-    """Node 1 of the path 0 - 1 - 2."""
-    net = labelled(path(3), steps=9, rounds=1, seeing=seeing, schedule=full_publish(3), **options)
-    estimator = net.nodes[1].estimator
-    assert isinstance(estimator, LabelledFlooding)
-    return estimator
 
 
 def test_a_bid_counts_the_lacking_neighbours_and_discounts_by_age():

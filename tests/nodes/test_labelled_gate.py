@@ -8,18 +8,9 @@ import numpy as np
 from concord.bus.schedule import full_publish
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured
-from concord.nodes.rules.labelled import LabelledFlooding
 from concord.nodes.rules.source_gate import without_outliers
-from tests.nodes.labelled_networks import PRIOR, kalman, labelled, taken
+from tests.nodes.labelled_networks import PRIOR, kalman, labelled, lone, taken
 from tests.nodes.networks import WholeState, path, run
-
-
-def lone() -> LabelledFlooding:
-    """Node 1 of the path 0 - 1 - 2, the only one that sees."""
-    net = labelled(path(3), steps=9, rounds=1, seeing=[1], schedule=full_publish(3))
-    estimator = net.nodes[1].estimator
-    assert isinstance(estimator, LabelledFlooding)
-    return estimator
 
 
 def test_an_outlier_is_refused_alike_everywhere():
@@ -50,7 +41,7 @@ def test_a_gate_counts_the_noise_that_grows_with_the_state():
         def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
             return 100.0 * np.eye(2)
 
-    own_filter = lone().filter.filter
+    own_filter = lone([1]).filter.filter
     far = np.array([[PRIOR.mean[0] + 20.0, PRIOR.mean[1]]])
     cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
     for sensor, expected in cases:
@@ -63,7 +54,7 @@ def test_a_gate_counts_the_noise_that_grows_with_the_state():
 
 
 def test_a_node_that_knows_nothing_refuses_nothing():
-    estimator = replace(lone(), gates=(1e-6, 1e-6))
+    estimator = replace(lone([1]), gates=(1e-6, 1e-6))
     content, failures = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
     assert failures == ("gated",)
     content, _ = estimator.fuse(content, (None, None))

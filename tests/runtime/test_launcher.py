@@ -13,12 +13,10 @@ import pytest
 
 from concord.experiments.agreement import first_difference
 from concord.experiments.results.trace import Trace
-from concord.runtime.drivers import in_this_process
 from concord.runtime.network.links import free_ports
 from concord.runtime.processes.job import Happened, Job
 from concord.runtime.processes.launcher import NetworkFailed, run_processes
-from concord.scenarios.setup import Setup
-from tests.experiments.support import small, trace_of
+from tests.experiments.support import reference, small, trace_of
 from tests.processes import CONCORD, PATIENCE_S, PROC, family, holds_within, lives
 
 pytestmark = [
@@ -27,12 +25,6 @@ pytestmark = [
 ]
 
 LONG = 4000
-
-
-def reference(setup: Setup, folder: Path) -> Trace:
-    file = folder / "reference.mcap"
-    in_this_process(setup, "reference", file, None, lambda step: None)
-    return trace_of(setup, file)
 
 
 def nobody(pids: dict[str, int]) -> bool:
