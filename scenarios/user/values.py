@@ -203,11 +203,12 @@ def _module_of(place: str, file: Path, digest: str) -> ModuleType:
         sys.path.append(str(file.parent))
     name = f"concord_user_{file.stem}_{digest}"
     spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None, "its name ends in .py"
+    assert spec is not None, "its name ends in .py"
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # Not the loader: it may take compiled code of a former text of this second and length.
+        exec(compile(file.read_bytes(), file, "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[name]
         lines = [

@@ -1,5 +1,7 @@
 """Values of the user's own files: equal to ours where they say the same, and refused by name."""
 
+import os
+import sys
 from pathlib import Path
 
 import msgspec
@@ -123,6 +125,16 @@ def test_a_changed_file_is_refused_with_both_digests(tmp_path: Path):
     with pytest.raises(ValueError, match=f"{changed.digest}.*{source.digest}"):
         value_of(source)
     assert value_of(changed)(1, 2) == 2
+
+
+def test_code_of_a_former_text_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Python keeps compiled code under the second of a file's last change and its length."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    file = tmp_path / "own.py"
+    for value in (1, 2):
+        file.write_text(f"VALUE = {value}\n")
+        os.utime(file, (1e9, 1e9))
+        assert value_of(source_of(f"{file}:VALUE")) == value
 
 
 def test_the_digest_is_in_the_setup(tmp_path: Path):
