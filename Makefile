@@ -2,8 +2,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
-# With it each process of a test compiles all of concord again, in 0.3 s of processor time.
-unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills mutants overload fuzz stories docs pictures lock clean
 
@@ -13,7 +11,9 @@ demo: .venv/run.stamp
 
 # A worker for each processor; the tests of a file stay together, in the order of tests/conftest.py.
 # The long tests often wait for processes and clocks, so three workers share two processors.
-PYTEST := $(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder
+# Compiled code is kept: else each process of a test would compile concord again, in 0.3 s.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE PYTHONPYCACHEPREFIX=$(CURDIR)/build/pycache \
+	$(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder
 LONG_WORKERS := $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 LONG := slow or zenoh or browser
 
