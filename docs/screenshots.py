@@ -198,7 +198,7 @@ def _shoot_live(browser: Any, shot: LiveShot, folder: Path, file: Path) -> None:
 @contextmanager
 def _network(steps: int, folder: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """Start a network of eight processes, and end it."""
-    options = ("--driver", "processes", "--nodes", "8", "--steps", str(steps), "--out", str(folder))
+    options = ("--driver", "processes", "--nodes", "8", "--graph", "ring", "--steps", str(steps))
     command = fresh_command("concord.experiments", "run", *options)
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(command, stdout=quiet, stderr=quiet, env=fresh_variables())

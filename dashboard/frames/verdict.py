@@ -48,12 +48,17 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> RunVerdict:
             False,
             f"estimates differ by {rounded(apart, 2)} times what the nodes believe",
         )
-    reason = f"errors are {rounded(times, 2)} times what the nodes believe{_beside_central(judged)}"
+    is_over, is_under = times > _REMARKABLE, times < 1 / _REMARKABLE
+    usual = ""
     if np.isfinite(high).all():
+        # The band decides, and a size of errors that speaks against its word is explained.
+        usual = ", as in most other runs" if is_over or is_under else ""
         above, below = (consistency > high).mean(), (consistency < low).mean()
         is_over, is_under = above > _OUTSIDE, below > _OUTSIDE
-    else:
-        is_over, is_under = times > _REMARKABLE, times < 1 / _REMARKABLE
+        if is_over or is_under:
+            usual = f", {'more' if is_over else 'less'} than in most other runs"
+    reason = f"errors are {rounded(times, 2)} times what the nodes believe{usual}"
+    reason += _beside_central(judged)
     if is_over:
         return RunVerdict(f"OVERCONFIDENT × {rounded(times, 2)}", False, reason)
     if is_under:

@@ -72,7 +72,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     )
     return (
         f"<style>.nodes td,.nodes th{{padding:1px 2px;text-align:right;"
-        f"white-space:nowrap}}.nodes td:first-child{{max-width:max(72px,6.5vw);overflow:hidden;"
+        f"white-space:nowrap}}.nodes td:first-child{{max-width:max(72px,7vw);overflow:hidden;"
         f"text-overflow:ellipsis}}.nodes th{{color:"
         f"{css(theme.quiet)};font-weight:600;white-space:normal;vertical-align:top;"
         f"position:sticky;top:0;background:{css(theme.panel)}}}"

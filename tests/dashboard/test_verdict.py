@@ -36,10 +36,20 @@ def test_without_a_band_the_size_of_errors_beside_beliefs_decides(times: float, 
     assert f"errors are {times:.2g} times what the nodes believe" in judged.reason
 
 
-@pytest.mark.parametrize(("level", "word"), [(5.0, "CONS"), (9.0, "OVER"), (1.0, "CAUT")])
-def test_a_band_decides_where_there_is_one(level: float, word: str):
-    band = Expected(np.full(STEPS, 2.0), np.full(STEPS, 8.0), np.full(STEPS, 1.0))
-    assert verdict(scored(nees=level), band).word.startswith(word)
+@pytest.mark.parametrize(
+    ("level", "word", "usual"),
+    [
+        (STATES, "CONS", "believe, and"),
+        (0.2 * STATES, "CONS", "believe, as in most other runs, and"),
+        (9.0 * STATES, "OVER", "believe, more than in most other runs, and"),
+        (0.05 * STATES, "CAUT", "believe, less than in most other runs, and"),
+    ],
+)
+def test_a_band_decides_where_there_is_one(level: float, word: str, usual: str):
+    band = Expected(np.full(STEPS, 0.1 * STATES), np.full(STEPS, 8.0 * STATES), np.full(STEPS, 1.0))
+    judged = verdict(scored(nees=level), band)
+    assert judged.word.startswith(word)
+    assert usual in judged.reason
     # One step outside of it is chance.
     some = [*scored(nees=5.0)[:-1], scored(nees=99.0)[-1]]
     assert verdict(some, band).word == "CONSISTENT"
