@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,16 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plots") / "s.nc"
     finish(begin(specify(ASKED, runs=2), path), in_this_process, lambda _: None)
     return path
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of a run, and one of two batched runs."""
+    folder = tmp_path_factory.mktemp("runs")
+    asked = ["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4"]
+    main([*asked, "--out", str(folder / "one")])
+    main([*asked, "--driver", "batched", "--runs", "2", "--out", str(folder / "two")])
+    return folder
 
 
 def test_a_sweep_has_all_its_pictures(result: Path, capsys: pytest.CaptureFixture[str]):
@@ -251,14 +262,13 @@ def _cut(share: float) -> Callable[[Path], None]:
 def test_damaged_arrays_are_refused_in_a_sentence(
     command: str,
     damage: Callable[[Path], None],
+    runs: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ):
-    asked = ["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4"]
-    for words in ([], ["--driver", "batched", "--runs", "2"]):
-        folder = tmp_path / f"run{len(words)}"
-        main([*asked, *words, "--out", str(folder)])
-        capsys.readouterr()
+    capsys.readouterr()
+    for name in ("one", "two"):
+        folder = shutil.copytree(runs / name, tmp_path / name)
         damage(folder / "run.nc")
         assert "run.nc: " in refused(concord(capsys, command, folder))
 
@@ -293,22 +303,31 @@ def test_a_damaged_sweep_is_refused_in_a_sentence(
 )
 @pytest.mark.parametrize("command", ["plot", "report"])
 def test_a_description_of_no_network_is_refused(
-    command: str, part: str, value: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str,
+    part: str,
+    value: Any,
+    runs: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ):
-    folder = tmp_path / "run"
-    main(["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4", "--out", str(folder)])
+    folder = _described(runs, tmp_path, lambda setup: setup.update({part: value}))
     capsys.readouterr()
-    described = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    described["setup"][part] = value
-    (folder / "run.json").write_text(json.dumps(described), encoding="utf-8")
     assert "run.json: not the description of a run" in refused(concord(capsys, command, folder))
 
 
-def test_a_word_without_end_is_not_quoted_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder = tmp_path / "run"
-    main(["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4", "--out", str(folder)])
-    capsys.readouterr()
+def _described(runs: Path, above: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A copy of the run whose description has another setup."""
+    folder = shutil.copytree(runs / "one", above / "run")
     described = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    described["setup"]["scenario"]["filter"]["type"] = "x" * 100_000
+    change(described["setup"])
     (folder / "run.json").write_text(json.dumps(described), encoding="utf-8")
+    return folder
+
+
+def test_a_word_without_end_is_not_quoted_whole(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    word = {"type": "x" * 100_000}
+    folder = _described(runs, tmp_path, lambda setup: setup["scenario"]["filter"].update(word))
+    capsys.readouterr()
     assert len(refused(concord(capsys, "plot", folder))) < 2000

@@ -89,20 +89,16 @@ def test_a_sensor_bids_with_its_weighted_change_since_it_sent():
     assert node.bid(content) == 0
 
 
-def test_a_sensor_that_lost_still_measures_its_change_from_what_it_sent():
-    node = sensor()
+@pytest.mark.parametrize(
+    ("node", "second", "change"),
+    [(sensor(), (3.0, -1.0), 2.0), (sensor(zero_input), (3.0, 0.0), 3.0)],
+    ids=["from what it sent", "from zero"],
+)
+def test_a_sensor_that_lost_measures_its_change(node, second: tuple[float, float], change: float):
     content, _ = node.begin_step(node.start(), measured(1, 2.0, -1.0))
     content, _ = node.fuse(content, (None,))
-    content, _ = node.begin_step(content, measured(2, 3.0, -1.0))
-    assert node.bid(content) == number_of(2.0**2)
-
-
-def test_with_zero_input_a_silent_sensor_is_taken_to_measure_zero():
-    node = sensor(zero_input)
-    content, _ = node.begin_step(node.start(), measured(1, 2.0, -1.0))
-    content, _ = node.fuse(content, (None,))
-    content, _ = node.begin_step(content, measured(2, 3.0, 0.0))
-    assert node.bid(content) == number_of(3.0**2)
+    content, _ = node.begin_step(content, measured(2, *second))
+    assert node.bid(content) == number_of(change**2)
 
 
 def test_nothing_measured_is_nothing_to_ask_for():

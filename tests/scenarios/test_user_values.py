@@ -66,16 +66,6 @@ def test_an_own_oscillator_has_the_numbers_of_ours():
     np.testing.assert_allclose(own.cov_trace, ours.cov_trace, rtol=1e-9)
 
 
-def test_an_own_rule_has_the_numbers_of_ours():
-    asked = {"steps": 20, "hold": "drop", "nodes": 6}
-    own, ours = (
-        simulate(prepare(scenario_of("oscillator", rule=one, **asked)), range(2))
-        for one in (rule, "wac")
-    )
-    np.testing.assert_allclose(own.mean, ours.mean, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(own.cov_trace, ours.cov_trace, rtol=1e-9)
-
-
 @pytest.mark.zenoh
 def test_own_plant_and_rule_agree_in_every_driver():
     asked = portable(OWN.with_(rule=rule, steps=15, nodes=5, occupancy=0.4))
@@ -241,11 +231,17 @@ class Kalman:
 KALMAN = Kalman()
 
 
-def test_an_own_filter_has_the_numbers_of_ours():
-    asked = {"steps": 20, "nodes": 6}
+@pytest.mark.parametrize(
+    ("asked", "named"),
+    [({"rule": rule}, {"rule": "wac"}), ({"filter": KALMAN}, {"filter": "kf"})],
+    ids=["rule", "filter"],
+)
+def test_an_own_value_has_the_numbers_of_ours(asked: dict, named: dict):
     own, ours = (
-        simulate(prepare(scenario_of("oscillator", filter=one, **asked)), range(2))
-        for one in (KALMAN, "kf")
+        simulate(
+            prepare(scenario_of("oscillator", steps=20, nodes=6, hold="drop", **one)), range(2)
+        )
+        for one in (asked, named)
     )
     np.testing.assert_allclose(own.mean, ours.mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(own.cov_trace, ours.cov_trace, rtol=1e-9)
