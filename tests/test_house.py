@@ -5,6 +5,7 @@
 
 import pytest
 
+from tests.conftest import LONGEST, ROOT
 from tests.house import dead_code, structure
 from tests.house.dead_code import functions_are_called, modules_are_reached
 from tests.house.names import aliases_have_one_definition, class_names_are_unique
@@ -104,3 +105,7 @@ def test_a_reason_excuses_a_large_class(monkeypatch: pytest.MonkeyPatch):
 
 def test_every_rule_has_a_planted_violation():
     assert {rule for rule, *_ in PLANTED} == set(RULES)
+
+
+def test_the_files_that_begin_first_are_there():
+    assert all((ROOT / "tests" / f"{name}.py").is_file() for name in LONGEST)

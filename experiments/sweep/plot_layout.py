@@ -40,11 +40,11 @@ def levels_of(dataset: "xarray.Dataset") -> dict[str, list[Value]]:
     }
 
 
-def layout_of(dataset: "xarray.Dataset", axis: str | None = None) -> Layout:
-    """Return the layout that shows most of a result, with `axis` on the x axis if it is given."""
+def layout_of(dataset: "xarray.Dataset") -> Layout:
+    """Return the layout that shows most of a result."""
     levels = levels_of(dataset)
     numbers = [field for field, of in levels.items() if all(map(is_number, of))]
-    axis = axis or _first(_AXIS_FIRST, numbers)
+    axis = _first(_AXIS_FIRST, numbers)
     left = [field for field in levels if field != axis]
     colour = _first(_COLOUR_FIRST, [f for f in left if len(levels[f]) <= MOST_LINES])
     left = [field for field in left if field != colour]

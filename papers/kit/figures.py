@@ -22,10 +22,10 @@ def save(figure: Figure, folder: Path, name: str, dpi: int = 150) -> str:
     return f"{name}.png"
 
 
-def save_all(figures: Mapping[str, Figure], folder: Path, first: int, dpi: int = 150) -> str:
+def save_all(figures: Mapping[str, Figure], folder: Path, first: int) -> str:
     """Write figures by caption as figure-`first` and so on; returns their Markdown."""
     return "\n\n".join(
-        shown(caption, save(figure, folder, f"figure-{number}", dpi))
+        shown(caption, save(figure, folder, f"figure-{number}"))
         for number, (caption, figure) in enumerate(figures.items(), start=first)
     )
 

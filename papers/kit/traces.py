@@ -14,7 +14,6 @@ def write_traces(
     folder: Path,
     variables: Mapping[str, tuple[Sequence[str], np.ndarray]],
     coordinates: Mapping[str, Sequence[str] | np.ndarray],
-    units: Mapping[str, str] | None = None,
 ) -> None:
     """Write the variables, each with the names of its axes, to `traces.nc` in the folder.
 
@@ -22,7 +21,6 @@ def write_traces(
         folder: of the report.
         variables: by name, (axes, values).
         coordinates: labels along an axis, by axis.
-        units: of variables, by name.
 
     Raises:
         NotWritten: the disk does not take it.
@@ -34,6 +32,4 @@ def write_traces(
         {name: (tuple(axes), values) for name, (axes, values) in variables.items()},
         {axis: list(labels) for axis, labels in coordinates.items()},
     )
-    for name, unit in (units or {}).items():
-        dataset[name].attrs["units"] = unit
     write_dataset(dataset, folder / TRACES)
