@@ -199,7 +199,7 @@ def _shoot_live(browser: Any, shot: LiveShot, folder: Path, file: Path) -> None:
 def _network(steps: int, folder: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """Start a network of eight processes, and end it."""
     options = ("--driver", "processes", "--nodes", "8", "--graph", "ring", "--steps", str(steps))
-    command = fresh_command("concord.experiments", "run", *options)
+    command = fresh_command("concord.experiments", "run", *options, "--out", str(folder))
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(command, stdout=quiet, stderr=quiet, env=fresh_variables())
     try:
