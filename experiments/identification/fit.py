@@ -8,7 +8,7 @@ estimation of misspecified models). So they also hold for errors of the model th
 around the parameters that fit best. For what the model leaves out, the process noise stands in.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from concord.experiments.identification.likelihood import (
     LoggedReadings,
     likelihood,
     logged_readings,
+    widths_of,
 )
 from concord.experiments.identification.slip_claim import SlipClaim, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
@@ -109,30 +110,9 @@ def fit(
     every = sought_of(channels, car, friction=friction, ratio=ratio)
     heard = as_heard(Heard(channels, car, every), reference)
     tried = heard.sought
-    log = logged_readings(heard.channels, heard.car, time_step_s, min_speed_m_s)
-
-    def of(kept: np.ndarray) -> Callable[[np.ndarray], Likelihood]:
-        some = tuple(one for one, keep in zip(tried, kept, strict=True) if keep)
-
-        def of_some(spreads: np.ndarray) -> Likelihood:
-            on_step()
-            return likelihood(log, heard.car, tyre, some, spreads)
-
-        return of_some
-
-    samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in tried])
-    kept = np.ones(len(tried), dtype=bool)
-    best = _greatest(of(kept), np.zeros(len(tried)), samples)
-    first, told = best.first, _told(tried, _precision(best.likelihood))
-    if not told.all():
-        kept = told
-        best = _greatest(of(kept), best.spreads[kept], samples[kept])
-    spreads = np.zeros(len(tried))
-    spreads[kept] = best.spreads
-    deviations = _deviations(best.likelihood, kept)
+    log, best, spreads, deviations = _fitted(heard, tyre, time_step_s, min_speed_m_s, on_step)
     told_of = {
-        one.path: (moved, *both)
-        for one, moved, *both in zip(tried, spreads, *deviations, strict=True)
+        one.path: tuple(three) for one, *three in zip(tried, spreads, *deviations, strict=True)
     }
     found = tuple(
         _found(one, value_at(car, one.path), *told_of.get(one.path, _UNTOLD)) for one in every
@@ -145,21 +125,81 @@ def fit(
     return CarFit(
         _in_new_ratio(after, car),
         found,
-        first.nis,
+        best.first.nis,
         best.likelihood.nis,
-        first.freedoms,
+        best.first.freedoms,
         best.converged,
         heard.reference_rad,
         claim,
     )
 
 
-def _deviations(here: Likelihood, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Deviations (p,) of the parameters under the model, and robust ones; infinite if not kept."""
+class _Fitted(NamedTuple):
+    """The readings, the greatest density, and what it is at: spreads (p,), and their deviations
+    (p,) under the model and robust ones."""
+
+    log: LoggedReadings
+    best: "_Best"
+    spreads: np.ndarray
+    deviations: tuple[np.ndarray, np.ndarray]
+
+
+def _fitted(
+    heard: Heard,
+    tyre: Tyre,
+    time_step_s: float,
+    min_speed_m_s: float,
+    on_step: Callable[[], None],
+) -> _Fitted:
+    """Fit the parameters sought to the readings heard; arguments as in `fit`."""
+    tried = heard.sought
+
+    def read(channels: Mapping[str, ChannelReadings]) -> LoggedReadings:
+        return logged_readings(channels, heard.car, time_step_s, min_speed_m_s)
+
+    log = read(heard.channels)
+    widths = widths_of(log, heard.car, tyre, tried, np.zeros(len(tried)))
+
+    def of(kept: np.ndarray, log: LoggedReadings = log) -> Callable[[np.ndarray], Likelihood]:
+        some = tuple(one for one, keep in zip(tried, kept, strict=True) if keep)
+
+        def of_some(spreads: np.ndarray) -> Likelihood:
+            on_step()
+            return likelihood(log, heard.car, tyre, some, spreads, widths[kept])
+
+        return of_some
+
+    samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in tried])
+    kept = np.ones(len(tried), dtype=bool)
+    best = _greatest(of(kept), np.zeros(len(tried)), samples)
+    first, told = best.first, _told(tried, _precision(best.likelihood))
+    # Far from the truth a delay that shows much has little curvature.
+    before = widths
+    widths = widths_of(log, heard.car, tyre, tried, _at_samples(best.spreads, samples))
+    if not told.all() or (widths != before).any():
+        kept = told
+        best = _greatest(of(kept), best.spreads[kept], samples[kept])
+    spreads = np.zeros(len(tried))
+    spreads[kept] = best.spreads
+    last = _at_samples(best.spreads, samples[kept])
+    gradients = [of(kept, read(one))(last).gradient for one in heard.with_errors()]
+    moves = [one - gradients[0] for one in gradients]
+    deviations = _deviations(best.likelihood, kept, moves)
+    return _Fitted(log, best._replace(first=first), spreads, deviations)
+
+
+def _deviations(
+    here: Likelihood, kept: np.ndarray, moves: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviations (p,) of the parameters under the model, and robust ones; infinite if not kept.
+
+    `moves` are changes of the gradient by independent errors of a reference (Murphy and Topel 1985,
+    Estimation and inference in two-step econometric models).
+    """
     std, robust = np.full((2, len(kept)), np.inf)
     cov = np.linalg.inv(_precision(here))
     std[kept] = np.sqrt(np.diagonal(cov))
-    scatter = here.scatter + np.eye(len(cov))
+    scatter = here.scatter + np.eye(len(cov)) + sum(np.outer(move, move) for move in moves)
     robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
     return std, robust
 

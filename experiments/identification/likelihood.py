@@ -33,6 +33,7 @@ from concord.plants.vehicle.corrections import (
     SENSORS_OF_NODES,
     channels_of_nodes,
     earlier,
+    earlier_by,
     stamped,
 )
 from concord.plants.vehicle.drive_log import speeds_in
@@ -55,6 +56,9 @@ BLOCK_SAMPLES = 200
 """Innovations that are kept at a time."""
 CORRELATED_S = 0.25
 """Scores that are so near count as correlated: the time in which errors of the model change."""
+_WIDTHS, _RISE = (1, 2, 4, 8), 4.0
+"""Samples over which differences by a delay may reach, and by how much the logarithm of the
+likelihood must fall there on average: more than by the noise of readings that meet others."""
 _SENSORS = (*(name for names in SENSORS_OF_NODES for name in names), "side_slip")
 _COURSE = _SENSORS.index("course")
 
@@ -87,7 +91,7 @@ class LoggedReadings:
         readings: (steps, m), each at the step next to its stamp, NaN for nothing. A channel is
             there as often as a step has several readings of it.
         channels: (m,), which ones they are.
-        counted: (steps,), whether innovations count: the car is fast enough.
+        counted: (steps,), whether the innovations of readings count: the car is fast enough.
         start: belief at the first step, of 6 states, or of 8 where positions are logged.
         time_step_s: of a run.
     """
@@ -140,19 +144,43 @@ def logged_readings(
 
 
 def likelihood(
-    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+    log: LoggedReadings,
+    car: Car,
+    tyre: Tyre,
+    sought: tuple[Sought, ...],
+    spreads: np.ndarray,
+    widths: np.ndarray,
 ) -> Likelihood:
     """The likelihood of a log for a car whose parameters are so many spreads (p,) from its file.
 
     Delays count as the whole samples next to them, which is exact: the readings move by so many.
+    Differences by delays reach over `widths` (p,) samples (`widths_of`).
     """
-    lanes = _Lanes.of(sought, log.time_step_s)
+    lanes = _Lanes.of(sought, log.time_step_s, widths)
     moved = spreads + lanes.moved
     filtered = _Filter(log, car, car_with(car, sought, moved), tyre, len(moved))
     totals = _Sums(lanes, round(CORRELATED_S / log.time_step_s))
     for innovation, cov in filtered.blocks():
         totals.add(innovation, cov)
     return totals.likelihood()
+
+
+def widths_of(
+    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+) -> np.ndarray:
+    """Samples (p,) over which differences by delays show more than noise, 1 for all else, for the
+    car whose parameters are so many spreads (p,) from its file."""
+    widths = np.ones(len(sought))
+    lanes = _Lanes.of(sought, log.time_step_s, widths)
+    ahead = lanes.moved[1 + len(sought) :][: len(lanes.delays)]
+    each = [way * width * ahead for width in _WIDTHS for way in (1, -1)]
+    moved = spreads + np.concatenate([lanes.moved[:1], *each])
+    values = values_at(log, car, tyre, sought, moved)
+    pairs = values[1:].reshape(len(_WIDTHS), 2, len(lanes.delays))
+    enough = pairs.mean(axis=1) - values[0] > _RISE
+    enough[-1] = True
+    widths[lanes.delays] = np.array(_WIDTHS)[enough.argmax(axis=0)]
+    return widths
 
 
 def values_at(
@@ -196,24 +224,25 @@ def _terms(v: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 class _Lanes(NamedTuple):
     """Lanes of one batch: lane 0 has the parameters themselves, lane 1 + i parameter i moved by
-    little. In the last lanes the readings of one sensor, of those with `delays` (q,), are a sample
-    earlier, then later.
+    little. In the last lanes the readings of one sensor, of those with `delays` (q,), are some
+    samples earlier, then later.
 
-    `moved` is (1 + p + 2 q, p), in spreads; `samples` (q,) are the lengths of a sample.
+    `moved` is (1 + p + 2 q, p), in spreads; `reaches` (q,) are the lengths of so many samples.
     """
 
     moved: np.ndarray
     delays: np.ndarray
-    samples: np.ndarray
+    reaches: np.ndarray
 
     @classmethod
-    def of(cls, sought: tuple[Sought, ...], sample_s: float) -> "_Lanes":
+    def of(cls, sought: tuple[Sought, ...], sample_s: float, widths: np.ndarray) -> "_Lanes":
         delays = np.flatnonzero([one.is_delay for one in sought])
-        samples = np.array([sample_s / sought[place].spread for place in delays])
+        reaches = np.array([widths[one] * sample_s / sought[one].spread for one in delays])
         each = np.eye(len(sought))
-        by_sample = samples[:, None] * each[delays]
-        little = DIFFERENCE * each
-        return cls(np.concatenate([0 * each[:1], little, by_sample, -by_sample]), delays, samples)
+        ahead = reaches[:, None] * each[delays]
+        return cls(
+            np.concatenate([0 * each[:1], DIFFERENCE * each, ahead, -ahead]), delays, reaches
+        )
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives (B, p, ...) of the values (B, 1 + p + 2 q, ...) of all lanes."""
@@ -246,7 +275,7 @@ class _Sums:
         self._information += np.tensordot(dv, of_dv, ((0, 2), (0, 2)))
         values, squares = _terms(v, s)
         ahead, back = np.split(values[:, 1 + scores.shape[1] :], 2, axis=1)
-        scores[:, self._lanes.delays] = (ahead - back) / (2 * self._lanes.samples)
+        scores[:, self._lanes.delays] = (ahead - back) / (2 * self._lanes.reaches)
         self._scores.append(scores)
         self._values += values.sum(axis=0)
         self._squares += float(squares[:, 0].sum())
@@ -258,7 +287,7 @@ class _Sums:
         scores = np.concatenate(self._scores)
         middle, (ahead, back) = self._values[0], np.split(self._values[1 + count :], 2)
         bends = np.zeros(count)
-        bends[lanes.delays] = (ahead + back - 2 * middle) / lanes.samples**2
+        bends[lanes.delays] = (ahead + back - 2 * middle) / lanes.reaches**2
         return Likelihood(
             float(middle),
             scores.sum(axis=0),
@@ -315,8 +344,8 @@ class _Filter:
             np.broadcast_to(log.start.mean, (self._count, n)),
             np.broadcast_to(np.diag(np.square(log.start.std)), (self._count, n, n)),
         )
-        readings, kept = self._readings(), []
-        for step, (reading, counts) in enumerate(zip(readings, log.counted, strict=True)):
+        kept = []
+        for step, (reading, counts) in enumerate(zip(*self._readings(), strict=True)):
             if step:
                 belief = predict(belief, transition, self._noise_cov, rule)
             if np.isnan(reading).all():
@@ -325,24 +354,27 @@ class _Filter:
                 belief, reading, self._measure, self._reading_cov, rule, residual=self._residual
             )
             belief = found.belief
-            if counts:
-                kept.append((found.innovation, found.innovation_cov))
+            if counts.any():
+                kept.append((np.where(counts, found.innovation, np.nan), found.innovation_cov))
             if len(kept) == BLOCK_SAMPLES:
                 yield _stacked(kept)
                 kept = []
         if kept:
             yield _stacked(kept)
 
-    def _readings(self) -> np.ndarray:
-        """The readings (steps, lanes, m), moved by the delays of each lane beyond the file's."""
-        log, columns = self._log, []
+    def _readings(self) -> tuple[np.ndarray, np.ndarray]:
+        """The readings (steps, lanes, m), moved by the delays of each lane beyond the file's, and
+        which ones count: the same in all lanes, or a delay would choose what it is judged by."""
+        log, columns, counted = self._log, [], []
         for name, logged in zip(log.sensors, log.readings.T, strict=True):
             delays = getattr(self._sheets, name).delay_s - getattr(self._before, name).delay_s
             delays = np.broadcast_to(delays, self._count)
             samples, lanes = np.unique(delays / log.time_step_s, return_inverse=True)
             moved = [earlier(logged, value) for value in samples]
             columns.append(np.stack(moved, axis=-1)[:, lanes])
-        return np.stack(columns, axis=-1)
+            kept = [earlier_by(log.counted, round(value)) == 1.0 for value in samples]
+            counted.append(np.stack(kept, axis=-1)[:, lanes])
+        return np.stack(columns, axis=-1), np.stack(counted, axis=-1)
 
     def _measure(self, state: np.ndarray) -> np.ndarray:
         """The channels (S, lanes, m) of states (S, lanes, n)."""

@@ -10,13 +10,15 @@ Source: Farrelly and Wellstead (1996), Estimation of vehicle lateral velocity, f
 """
 
 from collections.abc import Mapping
+from functools import reduce
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
-from concord.filters.smoother import backward_affine, smoothed
+from concord.filters.smoother import backward_affine, smooth
 from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, interpolated
 from concord.plants.vehicle.corrections import stamped, with_true_wheels
 from concord.plants.vehicle.drive import Drive
@@ -28,7 +30,7 @@ from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified
 TYRE_ERROR, TYRE_ERROR_S = 0.1, 0.5
 """Error of the tyres' side slip over that of the rear axle, and how long it lasts."""
 _PRIOR_STD = (0.3, 0.3, 0.1, 0.3)
-"""Of the state: lateral speed of the sensor m/s, offset of the lateral acceleration m/s^2, its
+"""Of the state: lateral speed of the sensor m/s, offset of the lateral acceleration m/s², its
 scale (the body rolls), and the compliance of the rear tyres over that of the car."""
 _OFFSET_DRIFT_M_S2 = 0.003
 """That a second adds."""
@@ -36,6 +38,11 @@ _COMPLIANCE = 3
 _BLIND_M_S = 3.0
 """That a second adds to the lateral speed in a gap of the readings."""
 _LEAST_READINGS = 100
+_PLACE_M = 0.2
+"""Standard deviation of the accelerometer's place in the file: load moves the centre of mass."""
+_SPACING_S, _LEFT_OUT = 0.1, 0.1
+"""Of the instants between which the errors of the reference are straight lines, and the share of
+their variance that the modes leave out."""
 
 
 class SlipReference(NamedTuple):
@@ -44,12 +51,15 @@ class SlipReference(NamedTuple):
     Attributes:
         readings: rad, at the instants of the smoother.
         std_rad: standard deviation (steps,).
+        modes_rad: independent errors (modes, steps) of one standard deviation each. They last: the
+            fit to the reference takes part of them for values of the car.
         told: standard deviation of the compliance of the rear tyres, over that of its prior. A
             drive that changes its side slip too slowly tells nothing: 1.
     """
 
     readings: ChannelReadings
     std_rad: np.ndarray
+    modes_rad: np.ndarray
     told: float
 
 
@@ -89,13 +99,15 @@ def slip_reference(
     driven = _Driven(
         drive.time_step_s, drift, lateral, yaw_rate * speed, slip * speed + arm, rear * speed
     )
-    mean, _ = _smoothed(driven, TYRE_ERROR * _rms(driven.rear))
+    mean = _smoothed(driven, TYRE_ERROR * _rms(driven.rear)).states.mean
     left = driven.level - mean[:, 0] + mean[:, _COMPLIANCE] * driven.rear
-    mean, cov = _smoothed(driven, _rms(left))
+    found = _smoothed(driven, _rms(left))
+    mean, cov = found.states
     told = float(np.sqrt(cov[-1, _COMPLIANCE, _COMPLIANCE])) / _PRIOR_STD[_COMPLIANCE]
     return SlipReference(
         ChannelReadings(times_s[known], np.arctan((mean[:, 0] - arm) / speed)[known]),
         (np.sqrt(cov[:, 0, 0]) / speed)[known],
+        (np.stack([*_modes(found, drive.time_step_s), _PLACE_M * yaw_rate]) / speed)[:, known],
         told,
     )
 
@@ -141,8 +153,8 @@ class _Driven(NamedTuple):
     Attributes:
         time_step_s: between instants.
         drift: m/s (steps,) that a second adds to the lateral speed.
-        lateral: acceleration (steps,) in m/s^2.
-        turning: yaw rate times speed (steps,) in m/s^2.
+        lateral: acceleration (steps,) in m/s².
+        turning: yaw rate times speed (steps,) in m/s².
         level: lateral speed (steps,) of the sensor in m/s, as the tyres have it.
         rear: slip angle of the rear axle times speed (steps,) in m/s.
     """
@@ -155,8 +167,15 @@ class _Driven(NamedTuple):
     rear: np.ndarray
 
 
-def _smoothed(driven: _Driven, tyre_error: float) -> Gaussian:
-    """States (steps, 4) where the tyres' lateral speed errs by `tyre_error` m/s."""
+class _Smoothed(NamedTuple):
+    """States (steps, 4), and the gains (steps - 1, 4, 4) that lead back to them."""
+
+    states: Gaussian
+    gains: np.ndarray
+
+
+def _smoothed(driven: _Driven, tyre_error: float) -> _Smoothed:
+    """Smooth the states where the tyres' lateral speed errs by `tyre_error` m/s."""
     step = driven.time_step_s
     noise_cov = np.diag([0.0, step * _OFFSET_DRIFT_M_S2**2, 0.0, 0.0])
     variance = 2 * TYRE_ERROR_S / step * tyre_error**2
@@ -178,6 +197,28 @@ def _smoothed(driven: _Driven, tyre_error: float) -> Gaussian:
         cov = less @ belief.cov @ less.T + variance * np.outer(gain, gain)
         belief = Gaussian(belief.mean + gain * (driven.level[k] - row @ belief.mean), cov)
         beliefs.append(belief)
-    for k in range(len(ways) - 1, -1, -1):
-        beliefs[k] = smoothed(beliefs[k], ways[k], beliefs[k + 1])
-    return Gaussian(*(np.stack(parts) for parts in zip(*beliefs, strict=True)))
+    history = Gaussian(*(np.stack(parts) for parts in zip(*beliefs, strict=True)))
+    return _Smoothed(smooth(history, ways), np.stack([way.gain for way in ways]))
+
+
+def _modes(found: _Smoothed, time_step_s: float) -> np.ndarray:
+    """Return principal errors (modes, steps) of the smoothed lateral speed, in m/s.
+
+    The covariance of two smoothed states is the product of the gains between them, times the
+    covariance of the later one. Source: de Jong and MacKinnon (1988), Covariances for smoothed
+    estimates in state space models, Biometrika 75(3).
+    """
+    steps = len(found.gains) + 1
+    at = np.arange(0, steps, max(1, round(_SPACING_S / time_step_s)))
+    between = [reduce(np.matmul, found.gains[k:m]) for k, m in pairwise(at)]
+    cov = np.empty((len(at), len(at)))
+    for last, step in enumerate(at):
+        together = found.states.cov[step]
+        cov[last, last] = together[0, 0]
+        for place in range(last - 1, -1, -1):
+            together = between[place] @ together
+            cov[place, last] = cov[last, place] = together[0, 0]
+    variances, shapes = np.linalg.eigh(cov)
+    count = 1 + int(np.searchsorted(np.cumsum(variances[::-1]), (1 - _LEFT_OUT) * cov.trace()))
+    modes = np.sqrt(variances[-count:]) * shapes[:, -count:]
+    return np.stack([np.interp(np.arange(steps), at, mode) for mode in modes.T])

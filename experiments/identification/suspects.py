@@ -87,7 +87,7 @@ def suspect(log: LoggedReadings, car: Car, tyre: Tyre, every: tuple[Sought, ...]
         return None
     samples = np.array([log.time_step_s / one.spread if one.is_delay else 0.0 for one in every])
     zero = np.zeros(len(every))
-    here = likelihood(log, car, tyre, every, zero)
+    here = likelihood(log, car, tyre, every, zero, np.ones(len(every)))
     bends = np.where(here.bends > 0, here.bends, np.diagonal(here.information))
     newton = np.clip(-here.gradient / (bends + 1), -2.0, 2.0)
     along = [_Along(np.zeros(1), np.array([here.value])) for _ in every]

@@ -1,6 +1,6 @@
 """The side slip that a drive tells: channels that the fit hears, and values that it leaves."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -38,13 +38,23 @@ _SLIP_LATE = ("sensors", "side_slip", "delay_s")
 class Heard(NamedTuple):
     """Readings by the fields of `drive_log.ColumnMap`, the car of the fit, and what it seeks.
 
-    `reference_rad` is the standard deviation of a reference that stands for the side slip.
+    `reference_rad` is the standard deviation of a reference that stands for the side slip, and
+    `modes_rad` (modes, readings) are its errors, as in `SlipReference`.
     """
 
     channels: Mapping[str, ChannelReadings]
     car: Car
     sought: tuple[Sought, ...]
     reference_rad: float | None = None
+    modes_rad: np.ndarray | None = None
+
+    def with_errors(self) -> Iterator[Mapping[str, ChannelReadings]]:
+        """The readings, then with each error of the reference; nothing without a reference."""
+        if self.modes_rad is None:
+            return
+        read = self.channels["side_slip"]
+        for mode in (0.0, *self.modes_rad):
+            yield {**self.channels, "side_slip": read._replace(values=read.values + mode)}
 
 
 def tells_slip(channels: Mapping[str, ChannelReadings], reference: SlipReference | None) -> bool:
@@ -87,4 +97,5 @@ def _with_reference(heard: Heard, reference: SlipReference) -> Heard:
         if one.path != _ARM
     )
     channels = {**heard.channels, "side_slip": readings}
-    return Heard(channels, replace(heard.car, sensors=sensors), sought, noise)
+    car = replace(heard.car, sensors=sensors)
+    return Heard(channels, car, sought, noise, reference.modes_rad)

@@ -18,6 +18,11 @@ from concord.scenarios.types.plants import VehicleNetwork
 
 LONGEST_S = 30.0
 """Time of a log that is searched, from its first scored step on; a second takes half a second."""
+_DRIVER: dict[tuple[str, ...], str] = {
+    ("process_noise", "steering_rad"): "steers",
+    ("process_noise", "acceleration_m_s2"): "accelerates",
+}
+"""Values that belong to a driver and a road: other drives of the car have others."""
 
 
 def log_cause(setup: Setup, counted: np.ndarray) -> str:
@@ -55,11 +60,13 @@ def _times(car: Car, factor: float) -> ProcessNoise:
 def in_words(found: Suspect, data: str) -> str:
     """ "of single values of car.toml, the offset of yaw rate explains most: ..." """
     interval = f" (95 %: {found.low:.3g} to {found.high:.3g})" if np.isfinite(found.low) else ""
-    return (
-        f"of single values of car.toml, {found.sought.name} explains most: {found.value:.3g}"
-        f"{interval} {found.sought.unit}".rstrip()
-        + f" in place of {found.before:.3g}; {_cure(data)}"
-    )
+    value = f"{found.value:.3g}{interval} {found.sought.unit}".rstrip()
+    instead = f"{found.sought.name} explains most: {value} in place of {found.before:.3g}"
+    acts, more = _DRIVER.get(found.sought.path), found.value > found.before
+    if acts:
+        said = f"{instead}; the driver {acts} {'more' if more else 'less'} sharply than that"
+        return f"of single values of car.toml, {said}, which is no fault of the car"
+    return f"of single values of car.toml, {instead}; {_cure(data)}"
 
 
 def _cure(data: str) -> str:

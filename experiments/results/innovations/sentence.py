@@ -93,7 +93,7 @@ def _beside_errors(lead: str, said: str, anees: Interval, slip: SlipEvidence | N
         return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
     if slip is None:
         return f"{lead}: {said}"
-    if lead == "underconfident" and not claims:
+    if lead == "underconfident" and not claims and not np.isnan(found.low):
         return f"consistent: {errors}; innovations alone would say {lead}: {said}"
     return f"{lead}: {said}; {errors}"
 

@@ -33,13 +33,15 @@ _ERRS = {"overconfident": "by more than", "underconfident": "by less than", "": 
 
 class SlipEvidence(NamedTuple):
     """ANEES of the side slip of the filter that hears everything, beside the logged side slip, or
-    beside a reference."""
+    beside a reference; NaN where the drive does not tell it."""
 
     anees: Interval
     logged: bool
 
     def in_words(self) -> str:
         """ "the side slip errs by more than ... claims (ANEES 2.9 where 1 is right, by ...)" """
+        if np.isnan(self.anees.low):
+            return "this drive does not tell how far the side slip errs"
         by = "the logged one" if self.logged else "what yaw rate and lateral acceleration add up to"
         return (
             f"the side slip errs {_ERRS[beyond(self.anees)]} the filter that hears everything "
@@ -52,9 +54,8 @@ def slip_evidence(
 ) -> SlipEvidence | None:
     """Judge the beliefs (S, n) of the filter that hears everything, in the steps (S,) that count.
 
-    None without a log of a car, and where the log does not tell the side slip. A reference is
-    sought in the first `longest_s` from the first step that counts. It shares errors with the
-    filter, so it shows that a claim is too small, and never that one is right or too large.
+    None without a log of a car. A reference is sought in the first `longest_s` from the first step
+    that counts. It shares errors with the filter, so its ANEES is too small rather than too large.
     """
     plant = setup.scenario.plant
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
@@ -71,11 +72,9 @@ def slip_evidence(
         start_s = times_s[np.argmax(counted)]
         reference = _reference(_cut(channels, start_s, start_s + longest_s), car)
         if reference is None or reference.told > SEEN:
-            return None
+            return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
         squares = _squares(belief, reference, times_s)
     found = anees_interval(np.where(counted, squares, np.nan), confidence)
-    if np.isnan(found.low) or not (logged or beyond(found) == "overconfident"):
-        return None
     return SlipEvidence(found, logged)
 
 

@@ -8,7 +8,7 @@ from concord.plants.vehicle.model import single_track, tanh_tyre
 from concord.plants.vehicle.network import DrivenCar
 from concord.plants.vehicle.parameters import BMW_320I, Car, ProcessNoise, SensorSheet, SensorSheets
 
-STEP_S = 0.005
+STEP_S, GUST_S = 0.005, 0.3
 FILE = replace(BMW_320I, name="the file")
 """The car of the file, which knows nothing of the truth below."""
 TRUE = replace(
@@ -37,21 +37,31 @@ TRUE = replace(
 
 
 def simulated_log(
-    car: Car, seconds: float, seed: int, slip: bool = True
+    car: Car, seconds: float, seed: int, slip: bool = True, gusts_m_s2: float = 0.0
 ) -> tuple[Drive, np.ndarray]:
-    """A drive of the model with process noise, and its states (steps, 6).
+    """A drive of the model with process noise, and its states (steps, 6), then gusts in m/s².
 
     Sensors log it that err as the car says.
 
-    The driver steers as the filters believe, by a random walk.
+    The driver steers as the filters believe, by a random walk. With gusts the car is a rigid body:
+    lateral forces at the rear axle, which last `GUST_S`, replace the process noise of yaw rate and
+    side slip.
     """
     generator, steps = np.random.default_rng(seed), round(seconds / STEP_S)
     model = DrivenCar(single_track(car, tanh_tyre, STEP_S))
     std = np.sqrt(np.diagonal(model.process_noise_cov(0)))
-    states = np.empty((steps, 6))
-    states[0] = [0.0, 0.0, 20.0, 0.0, 0.0, 0.0]
+    states = np.zeros((steps, 7))
+    states[0, 2] = 20.0
+    if gusts_m_s2:
+        std[:2] = 0.0
+    lasting = np.exp(-STEP_S / GUST_S)
     for k in range(1, steps):
-        states[k] = model.transition(states[k - 1], None, 0) + std * generator.standard_normal(6)
+        before, gust = np.split(states[k - 1], [6])
+        states[k, :6] = model.transition(before, None, 0) + std * generator.standard_normal(6)
+        if gusts_m_s2:
+            states[k, :2] += STEP_S * gust * [_turned_by_gusts(car), 1 / before[2]]
+            drawn = gusts_m_s2 * np.sqrt(1 - lasting**2) * generator.standard_normal()
+            states[k, 6] = lasting * gust.item() + drawn
     readings = {name: _delayed(states, car, name) for name in _OF_STATE}
     sheets = car.sensors
 
@@ -86,12 +96,18 @@ def _forces(x: np.ndarray, car: Car) -> tuple[np.ndarray, np.ndarray]:
     return track.axle_forces(x[:, :3], x[:, 4])
 
 
+def _turned_by_gusts(car: Car) -> float:
+    """The yaw acceleration of a gust of 1 m/s²."""
+    return -car.rear_axle_m * car.mass_kg / car.yaw_inertia_kg_m2
+
+
 def _lateral(x: np.ndarray, car: Car) -> np.ndarray:
     """Of a car with rear drive: only the rear wheels push."""
     front, rear = _forces(x, car)
     front = front * np.cos(x[:, 4])
     turning = (car.front_axle_m * front - car.rear_axle_m * rear) / car.yaw_inertia_kg_m2
-    return (front + rear) / car.mass_kg + car.sensors.accelerometer_ahead_m * turning
+    turning += _turned_by_gusts(car) * x[:, 6]
+    return (front + rear) / car.mass_kg + x[:, 6] + car.sensors.accelerometer_ahead_m * turning
 
 
 def _wheels(x: np.ndarray, car: Car) -> np.ndarray:

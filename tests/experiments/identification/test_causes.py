@@ -131,7 +131,9 @@ def test_lanes_of_cars_are_likely_as_each_car_alone():
     spreads[:, [one.is_delay for one in every]] = 0.0
     together = values_at(log, TRUE, tanh_tyre, every, spreads)
     alone = [
-        likelihood(log, car_with(TRUE, every, one), tanh_tyre, every, 0 * one).value
+        likelihood(
+            log, car_with(TRUE, every, one), tanh_tyre, every, 0 * one, np.ones(len(every))
+        ).value
         for one in spreads
     ]
     np.testing.assert_allclose(together, alone, rtol=1e-9)

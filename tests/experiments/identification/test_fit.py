@@ -14,7 +14,12 @@ from msgspec.structs import replace
 
 from concord.experiments.__main__ import main
 from concord.experiments.identification.fit import fit
-from concord.experiments.identification.likelihood import likelihood, logged_readings
+from concord.experiments.identification.likelihood import (
+    likelihood,
+    logged_readings,
+    values_at,
+    widths_of,
+)
 from concord.experiments.identification.sought import sought_of, value_at
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.results.run_verdict import anees_interval
@@ -145,13 +150,27 @@ def test_the_gradient_is_that_of_the_likelihood():
     sought = every[::3] + tuple(one for one in every if one.is_delay)[:1]
     log = logged_readings(channels_of(drive), FILE, 0.005, 5.0)
     start = np.where([one.is_delay for one in sought], 0.0, 0.1)
-    here = likelihood(log, FILE, tanh_tyre, sought, start)
+    widths = np.where([one.is_delay for one in sought], 2.0, 1.0)
+    here = likelihood(log, FILE, tanh_tyre, sought, start, widths)
     for place, one in enumerate(sought):
-        little = 0.1 if one.is_delay else 1e-3  # a sample of 5 ms is a tenth of the spread
+        little = 0.2 if one.is_delay else 1e-3  # two samples of 5 ms are a fifth of the spread
         moved = little * np.eye(len(sought))[place]
-        sides = [likelihood(log, FILE, tanh_tyre, sought, start + way * moved) for way in (1, -1)]
-        slope = (sides[0].value - sides[1].value) / (2 * little)
+        sides = values_at(log, FILE, tanh_tyre, sought, start + np.stack([moved, -moved]))
+        slope = (sides[0] - sides[1]) / (2 * little)
         assert here.gradient[place] == pytest.approx(slope, rel=1e-2, abs=0.5), one.name
+
+
+def test_a_delay_that_shows_little_is_judged_over_more_samples():
+    """A sample earlier or later, the likelihood of wheel speeds changed by noise alone: the fit
+    stopped 3 samples from the truth, with an interval of 1 to either side."""
+    channels = channels_of(simulated_log(TRUE, 4.0, 3)[0])
+    every = sought_of(channels, TRUE, friction=False, ratio=False)
+    sought = tuple(one for one in every if one.is_delay)
+    log = logged_readings(channels, TRUE, 0.005, 5.0)
+    widths = widths_of(log, TRUE, tanh_tyre, sought, np.zeros(len(sought)))
+    found = dict(zip([one.name for one in sought], widths, strict=True))
+    assert found["delay of wheel speed"] > 2
+    assert found["delay of inertial unit"] == 1
 
 
 @pytest.mark.parametrize("samples", [3.0, 2.4, -1.7])
