@@ -30,7 +30,7 @@ from concord.experiments.identification.sought import (
     sought_of,
     value_at,
 )
-from concord.experiments.identification.without_slip import Heard, as_heard
+from concord.experiments.identification.without_slip import SMALL, Heard, as_heard
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car
@@ -183,7 +183,7 @@ def _fitted(
     spreads[kept] = best.spreads
     last = _at_samples(best.spreads, samples[kept])
     gradients = [of(kept, read(one))(last).gradient for one in heard.with_errors()]
-    moves = [one - gradients[0] for one in gradients]
+    moves = [(one - gradients[0]) / SMALL for one in gradients]
     deviations = _deviations(best.likelihood, kept, moves)
     return _Fitted(log, best._replace(first=first), spreads, deviations)
 
@@ -193,6 +193,7 @@ def _deviations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Deviations (p,) of the parameters under the model, and robust ones; infinite if not kept.
 
+    A robust one is at most that of the prior, which is 1.
     `moves` are changes of the gradient by independent errors of a reference (Murphy and Topel 1985,
     Estimation and inference in two-step econometric models).
     """
@@ -200,7 +201,7 @@ def _deviations(
     cov = np.linalg.inv(_precision(here))
     std[kept] = np.sqrt(np.diagonal(cov))
     scatter = here.scatter + np.eye(len(cov)) + sum(np.outer(move, move) for move in moves)
-    robust[kept] = np.sqrt(np.diagonal(cov @ scatter @ cov))
+    robust[kept] = np.minimum(np.sqrt(np.diagonal(cov @ scatter @ cov)), 1.0)
     return std, robust
 
 

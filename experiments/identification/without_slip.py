@@ -30,6 +30,8 @@ _STEADY = (
     *(("sensors", name, "offset") for name in _TURNING),
 )
 """These take errors of the tyres as well, where a drive is a row of steady states."""
+SMALL = 0.1
+"""Of an error of the reference: noise that is found grows with the square of a whole one."""
 _TELLING = ("side_slip", "course")
 _LATE = ("sensors", "lateral_acceleration", "delay_s")
 _SLIP_LATE = ("sensors", "side_slip", "delay_s")
@@ -49,11 +51,11 @@ class Heard(NamedTuple):
     modes_rad: np.ndarray | None = None
 
     def with_errors(self) -> Iterator[Mapping[str, ChannelReadings]]:
-        """The readings, then with each error of the reference; nothing without a reference."""
+        """The readings, then with `SMALL` of each error of a reference; nothing without one."""
         if self.modes_rad is None:
             return
         read = self.channels["side_slip"]
-        for mode in (0.0, *self.modes_rad):
+        for mode in (0.0, *(SMALL * self.modes_rad)):
             yield {**self.channels, "side_slip": read._replace(values=read.values + mode)}
 
 
