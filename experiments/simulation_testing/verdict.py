@@ -153,7 +153,8 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
     """After calm all are back: they err, disagree and doubt as they do where nothing was wrong.
 
     The level is that of `LEVEL_STEPS` steps, `SETTLING_STEPS` after the last fault, in units of the
-    covariance without faults; nothing is asked of runs that end before.
+    mean covariance of each node in these steps without faults. Which reading reaches a node in a
+    single step is luck. Nothing is asked of runs that end before.
 
     Raises:
         Broken: a node is missing, or its error exceeds the level.
@@ -217,14 +218,20 @@ def _is_rounding(calm: EstimateHistory, level: slice) -> bool:
 
 def _error(run: EstimateHistory, calm: EstimateHistory, level: slice) -> float:
     """Mean square error over nodes and steps, per state, in variances of the calm run."""
-    return float(_squares(run.errors[level], calm.cov[level]).mean()) / run.mean.shape[-1]
+    return _in_variances(run.errors[level], calm.cov[level])
 
 
 def _disagreement(run: EstimateHistory, calm: EstimateHistory, level: slice) -> float:
     """Return the same of what nodes differ by from their mean."""
     mean = run.mean[level]
     apart = mean - mean.mean(axis=1, keepdims=True)
-    return float(_squares(apart, calm.cov[level]).mean()) / mean.shape[-1]
+    return _in_variances(apart, calm.cov[level])
+
+
+def _in_variances(away: np.ndarray, covs: np.ndarray) -> float:
+    """Mean square per state of (steps, N, n), in the mean covariance of each node."""
+    units = np.broadcast_to(covs.mean(axis=0), covs.shape)
+    return float(_squares(away, units).mean()) / away.shape[-1]
 
 
 def _size(run: EstimateHistory, level: slice) -> np.ndarray:

@@ -173,6 +173,11 @@ def test_sets_come_back_state_by_state():
     assert run_case(draw_case(700315, {})).broken is None
 
 
+def test_which_reading_reaches_a_node_in_a_single_step_is_luck():
+    """With and without faults other nodes win the slots of a step; both runs have an ANEES of 1."""
+    assert run_case(draw_case(980206, {})).broken is None
+
+
 @pytest.mark.parametrize("seed", [940032, 940364])
 def test_digits_that_rounding_makes_are_not_compared(seed: int):
     """The plant's noise drives one state: without faults variances fall to 1e-21."""
