@@ -1,5 +1,6 @@
 """Pieces of a sweep on the workers of a Dask cluster, which may be on other machines."""
 
+import gc
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -35,6 +36,7 @@ def connect(address: str, tls: Path | None = None) -> Engine:
             "`pip install '.[dask]'` in a checkout of concord, or leave --dask out to use the "
             "processes of this machine"
         ) from None
+    client, refusal = None, ""
     try:
         # Without files, Dask's own configuration says which.
         security = Security(require_encryption=True, **files) if files else None
@@ -43,15 +45,19 @@ def connect(address: str, tls: Path | None = None) -> Engine:
         client = Client(address, timeout=CONNECT_TIMEOUT_S, security=security, set_as_default=False)
     except TypeError:
         # Dask's answer to an address of TLS without files.
-        raise ValueError(
-            f"--dask {address}: the scheduler encrypts; give --dask-tls FOLDER with "
-            f"{', '.join(TLS_FILES.values())}"
-        ) from None
+        refusal = "the scheduler encrypts; give --dask-tls FOLDER with " + ", ".join(
+            TLS_FILES.values()
+        )
     except (OSError, ValueError) as error:
-        raise ValueError(
-            f"--dask {address}: no scheduler answers ({error}); start one with `dask scheduler` "
-            "and give the address that it prints"
-        ) from None
+        refusal = (
+            f"no scheduler answers ({error}); start one with `dask scheduler` and give the address "
+            "that it prints"
+        )
+    if client is None:
+        # The refused client closes as it is collected. While the next client starts, that would
+        # wait for a lock which that start holds.
+        gc.collect()
+        raise ValueError(f"--dask {address}: {refusal}")
     try:
         _check_workers(client, address)
     except ValueError:

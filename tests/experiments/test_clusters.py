@@ -1,6 +1,7 @@
 """Sweeps on clusters: the files of `deploy/` for shards, and Dask with TLS and with losses."""
 
 import datetime
+import gc
 import json
 import os
 import random
@@ -221,8 +222,10 @@ def test_workers_behind_tls_find_the_same_and_others_are_refused(tmp_path: Path)
     ) as cluster:  # fmt: skip
         address = cluster.scheduler_address
         assert address.startswith("tls://")
-        with pytest.raises(ValueError, match="give --dask-tls FOLDER"):
+        with pytest.raises(ValueError, match="give --dask-tls FOLDER") as _refused:
             connect(address)
+        # A client that is collected while the next one starts waits for a lock of that start.
+        assert not any(isinstance(one, distributed.Client) for one in gc.get_objects())
         engine = connect(address, tmp_path)
         # A default client would stay in these settings where clients overlap.
         assert dask_settings.get("scheduler", None) is None
