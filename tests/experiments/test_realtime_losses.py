@@ -5,7 +5,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import groupby
+from itertools import groupby, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -246,9 +246,12 @@ def test_who_is_stopped_for_longer_than_the_lease_is_let_in_again_by_itself(tmp_
         time.sleep(2 * HANG_S)
         os.kill(pid, signal.SIGCONT)
     played = Played(setup, tmp_path, network.recorded())
-    [gone], [joined] = played.step_of(Gone), played.step_of(Joined)
+    # On a busy machine it may stand still again.
+    lives = zip_longest(played.step_of(Gone), played.step_of(Joined), fillvalue=45)
+    away = {step for gone, joined in lives for step in range(gone, joined)}
     out = np.isnan(played.trace.mean[:, :, 0])
-    assert set(np.flatnonzero(out[:, STRUCK])) == set(range(gone, joined))
+    assert away and set(np.flatnonzero(out[:, STRUCK])) == away
+    assert played.step_of(Joined)
     assert not np.delete(out, STRUCK, axis=1).any()
 
 

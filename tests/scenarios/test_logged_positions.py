@@ -55,6 +55,7 @@ class Driven(NamedTuple):
 def driven(folder: Path, seconds: float, seed: int, car: Car = CAR, turn: float = 0.7) -> Driven:
     """Write a log without positions whose car starts in a direction `turn`; return the rest."""
     drive, states = simulated_log(car, seconds, seed)
+    states = states[:, :6]  # without the gusts
     write_drive(folder, drive, car)
     states[:, HEADING] += turn
     generator = np.random.default_rng(seed + 100)
