@@ -24,7 +24,7 @@ from tests.experiments.support import trace_of
 from tests.experiments.test_clusters import stand_in
 from tests.experiments.test_hosts import write_setup
 from tests.experiments.units import unit_command
-from tests.processes import CONCORD, PROC, Family, family
+from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
 
 needs_proc = pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc")
 # The command runs here, in a home of the host's own, as sshd starts it.
@@ -135,7 +135,7 @@ def test_a_node_is_killed_and_restarted_and_all_end_with_the_command(
         # With the node the network goes on.
         network.await_line("alpha environment | oscillator: ", 120)
         end(network)
-        assert network.gone_within(30)
+        assert network.gone_within(PATIENCE_S)
 
 
 @pytest.mark.parametrize(
