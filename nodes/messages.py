@@ -57,8 +57,8 @@ class ShareSent(msgspec.Struct, frozen=True):
 class Bid(msgspec.Struct, frozen=True):
     """Contender to environment: its urgency for a dynamic slot; None asks for no slot.
 
-    `payload_bytes` is the length of all its payloads together. `group` is the group of the cycle
-    (`concord.bus.schedule.Schedule.groups`).
+    `payload_bytes` is the length of all its payloads together, 0 where it asks for no slot. `group`
+    is the group of the cycle (`concord.bus.schedule.Schedule.groups`).
     """
 
     node: NodeIndex

@@ -214,7 +214,7 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
     mute = mute or has_lost_clock(faults, state.cycle, config.index)
     bid = None if mute else config.estimator.bid(state.content)
     if bid is None:
-        return Bid(config.index, state.cycle, bid, 0, state.group)
+        return Bid(config.index, state.cycle, None, 0, state.group)
     # Composing changes nothing here: it says how long the share would be.
     _, body = config.estimator.compose(state.content)
     payloads = config.bus.payloads(config.index, state.cycle, len(body))

@@ -45,9 +45,8 @@ def connect(address: str, tls: Path | None = None) -> Engine:
         client = Client(address, timeout=CONNECT_TIMEOUT_S, security=security, set_as_default=False)
     except TypeError:
         # Dask's answer to an address of TLS without files.
-        refusal = "the scheduler encrypts; give --dask-tls FOLDER with " + ", ".join(
-            TLS_FILES.values()
-        )
+        names = ", ".join(TLS_FILES.values())
+        refusal = f"the scheduler encrypts; give --dask-tls FOLDER with {names}"
     except (OSError, ValueError) as error:
         refusal = (
             f"no scheduler answers ({error}); start one with `dask scheduler` and give the address "
