@@ -33,6 +33,27 @@ Urgency = Callable[[ArbiterState, Numbers, Numbers], NDArray[np.generic]]
 first; equal ones go by frame ID. The state is that of the contenders: (..., 1) and (..., C)."""
 
 
+LastContest = Callable[[int, int | None], int | None]
+"""(T, A) -> the contest in which the last one of contenders that fill T contests wins, counted from
+the first in which it asks; None for never. A contender that asked in vain A times goes first."""
+
+
+def never(turns: int, old_after: int | None) -> None:
+    """Promise nothing: others may always be served first."""
+
+
+def by_turn(turns: int, old_after: int | None) -> int:
+    """Promise that no contender is served twice while another one asks."""
+    return turns
+
+
+def by_age(turns: int, old_after: int | None) -> int | None:
+    """Promise that age decides in the end (`bus/longest_wait.py` has the proof)."""
+    if old_after is None or old_after < turns - 1:
+        return None
+    return old_after + turns - 1
+
+
 class Arbiter(NamedTuple):
     """How requests are ordered, and what happens to one that does not fit beside the others.
 
@@ -45,6 +66,7 @@ class Arbiter(NamedTuple):
         withdraws: hosts count the shares of a cycle and withdraw their requests when as many were
             sent as the schedule lets into it; otherwise the bus sends whatever fits.
         is_ideal: no controller awards slots in this order; a run says so.
+        last_contest: how long a contender waits at most.
     """
 
     urgency: Urgency
@@ -52,6 +74,7 @@ class Arbiter(NamedTuple):
     by_class: bool = False
     withdraws: bool = True
     is_ideal: bool = True
+    last_contest: LastContest = never
 
 
 LosingBids = Callable[[Numbers], Numbers]
@@ -79,10 +102,10 @@ def in_turn(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> NDArray[n
 
 
 ARBITERS: dict[str, Arbiter] = {
-    "urgency": Arbiter(lowest_frame_id, by_class=True, is_ideal=False),
+    "urgency": Arbiter(lowest_frame_id, by_class=True, is_ideal=False, last_contest=by_age),
     "wtod": Arbiter(largest_bid),
     "minislot": Arbiter(lowest_frame_id, withdraws=False, is_ideal=False),
-    "round-robin": Arbiter(in_turn, overtakes=False),
+    "round-robin": Arbiter(in_turn, overtakes=False, last_contest=by_turn),
 }
 
 Fits = Callable[[tuple[int, ...], Sequence[int]], bool]

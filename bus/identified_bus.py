@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
 from concord.bus.identified_frames import Framing, identifier_of
+from concord.bus.longest_wait import LongestWait, longest_wait
 from concord.bus.numbered_fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
@@ -23,6 +24,11 @@ class BidClasses(Protocol):
     @property
     def count(self) -> int:
         """Return the number of classes."""
+        ...
+
+    @property
+    def old_after(self) -> int | None:
+        """Return after how many contests in vain a node has the first class; None for never."""
         ...
 
     def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
@@ -158,6 +164,12 @@ class IdentifiedBus(ABC):
         ids = first + step * classes
         state, wins = award(self._arbiter, state, places, ids, bids, most)
         return Awards(state, wins, classes)
+
+    @property
+    def longest_wait(self) -> LongestWait | None:
+        """Return the longest wait of a contender (`concord.bus.longest_wait.BoundsWaits`)."""
+        room = max(self.schedule.dynamic_slot_table)
+        return longest_wait(self._arbiter, self.classes.old_after, self.schedule, room)
 
     def _most_senders(self, cycle: int) -> int:
         contenders = len(self.schedule.contenders(cycle))

@@ -5,6 +5,11 @@ newest steps that nodes know are a max-plus linear system: over a cycle, each no
 maximum of its own and those of the senders it hears. A schedule without contention repeats, and so
 do the ages once every reading has crossed the graph; their greatest value is exact (Baccelli,
 Cohen, Olsder and Quadrat 1992, Synchronization and Linearity, section 3.7).
+
+Where nodes contend, each sends once at least in a number of cycles (`bus/longest_wait.py`). A
+reading then moves one link further within as many cycles, and the slowest of the shortest ways
+bounds the age. This assumes that a node asks in all cycles in which a neighbour lacks a reading
+that it has, and that its share has room for all of these.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +17,7 @@ from math import lcm
 
 import numpy as np
 
+from concord.bus.longest_wait import LongestWait
 from concord.bus.schedule import Schedule
 
 Flags = Callable[[int], np.ndarray]
@@ -44,6 +50,39 @@ def worst_age_steps(
     ages = greatest_ages_steps(schedule, neighbours, rounds, steps, sent, taken)
     before, last = ages[-2 * period_steps : -period_steps], ages[-period_steps:]
     return int(last.max()) if last.max() <= before.max() else None
+
+
+def worst_contended_age_steps(
+    schedule: Schedule, neighbours: Sequence[Sequence[int]], rounds: int, wait: LongestWait
+) -> int | None:
+    """As `worst_age_steps`, where no contender waits for longer than `wait`: an upper bound.
+
+    None where a node never hears of another that may send.
+    """
+    nodes = range(schedule.nodes)
+    gaps = np.array([_longest_gap(schedule, node, wait.next_cycles) for node in nodes])
+    # Cycles until each node (row) has a reading of a source (column).
+    cycles = np.where(np.eye(schedule.nodes, dtype=bool), 0.0, np.inf)
+    for _ in nodes:
+        for node, heard in enumerate(neighbours):
+            for sender in heard:
+                cycles[node] = np.minimum(cycles[node], cycles[sender] + gaps[sender])
+    worst = cycles[:, np.isfinite(gaps)].max(initial=0)
+    if not np.isfinite(worst):
+        return None
+    # The first of the senders may still wait for its first win.
+    worst += wait.first_cycles - wait.next_cycles
+    return max(0, -(-int(worst) // rounds) - 1)
+
+
+def _longest_gap(schedule: Schedule, node: int, wait_cycles: int) -> float:
+    """In how many cycles in a row a node sends once at least; infinite for one that never may."""
+    rows = len(schedule.static_table)
+    sends = [cycle for cycle in range(2 * rows) if node in schedule.static_senders(cycle)]
+    gaps: list[float] = [max(np.diff(sends))] if sends else []
+    if any(node in row for row in schedule.contender_table):
+        gaps.append(wait_cycles)
+    return min(gaps, default=np.inf)
 
 
 def greatest_ages_steps(

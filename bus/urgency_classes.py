@@ -15,9 +15,8 @@ class UrgencyClasses:
 
     Bids have the classes from 1 on, at equal ratios of bids. Class 0 is for contenders that have
     asked in vain `old_after` times in a row, whatever they bid. A winner leaves class 0 for as
-    long as that. If that is the number of contenders at least, all others that wait there are
-    therefore served before it comes back: no contender waits for longer than `old_after` plus the
-    number of contenders. With `count` 1 a node has one frame ID and bids do not matter.
+    long as that, which bounds the wait of all others (`bus/longest_wait.py`). With `count` 1 a node
+    has one frame ID, bids do not matter, and no node grows old.
 
     Raises:
         ValueError: no class, or an empty range of bids.
@@ -32,16 +31,17 @@ class UrgencyClasses:
                 f"{old_after} waits: give at least one class, bids rising from above 0, and an age"
             )
         self.count = count
-        self._old_after, self._least_bid, self._ratio = old_after, least_bid, most_bid / least_bid
+        self.old_after = old_after if count > 1 else None
+        self._least_bid, self._ratio = least_bid, most_bid / least_bid
         self._borders = self.spread(np.arange(1, count - 1) / max(1, count - 1))
 
     def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
         """Return the class of each bid (...) of a contender that asked in vain `waits` (...) times
         in a row."""
-        if self.count == 1:
+        if self.old_after is None:
             return np.zeros(bids.shape, dtype=np.int64)
         classes = self.count - 1 - np.searchsorted(self._borders, bids, side="right")
-        return np.where(waits >= self._old_after, 0, classes)
+        return np.where(waits >= self.old_after, 0, classes)
 
     def spread(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the bids at these places of the range on a logarithmic scale: 0 is its beginning,

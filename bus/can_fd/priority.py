@@ -66,6 +66,8 @@ class BidLevels:
         ValueError: fewer than one class for each doubling of a bid.
     """
 
+    old_after: int | None = None
+
     def __init__(self, levels: int, span: tuple[int, int] | None = None) -> None:
         steps = (levels - 1) // _OCTAVES
         if steps < 1:

@@ -183,8 +183,7 @@ class FlexRayBus(SlottedBus):
         check_timing(self.cluster, rounds, time_step_s, stretch)
 
     def dynamic_room(self) -> int:
-        """Return how many of the contenders that may win in a cycle fit whichever of them do, in
-        whatever class."""
+        """Return how many of the longest shares fit whichever they are."""
         requests = self.table.requests(self.table.classes - 1)
         worst = [requests[node] for node in self._contenders]
         return self._counters.most_fit(worst, self._most_winners)
@@ -197,22 +196,12 @@ class FlexRayBus(SlottedBus):
     def _all_fit(self) -> bool:
         return self.dynamic_room() == self._most_winners
 
-    @property
-    def _most_winners(self) -> int:
-        slots = max(self.schedule.dynamic_slot_table)
-        contenders = len(self._contenders) if slots else 0
-        return min(slots, contenders) if self._arbiter.withdraws else contenders
-
     @cached_property
     def _owned(self) -> list[tuple[Transmission, ...]]:
         return [
             static_transmissions(self.cluster, slots)
             for slots in self.table.static_rows(len(self.schedule.static_table))
         ]
-
-    @cached_property
-    def _contenders(self) -> list[int]:
-        return sorted({node for row in self.schedule.contender_table for node in row})
 
     def _fits(
         self,

@@ -209,10 +209,9 @@ def _age(attempt: Attempt) -> list[str]:
     """The age of information, with its bound."""
     if attempt.age is None:
         return []
-    bound, observed = attempt.age
-    limit = (
-        "schedule and graph do not bound it"
-        if bound is None
-        else f"at most {bound} steps by schedule and graph"
-    )
+    bound, observed, why = attempt.age
+    if bound is None:
+        limit = f"no bound, since {why}"
+    else:
+        limit = f"at most {bound} steps by schedule and graph" + (f" ({why})" if why else "")
     return [f"age of information: {limit}; observed: at most {observed} steps"]

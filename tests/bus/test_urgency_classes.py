@@ -91,20 +91,6 @@ def test_winners_are_those_of_the_slot_counter(nodes, count, slots, cluster, ran
 
 
 @quick
-@given(st.integers(2, 12), st.integers(2, 8), st.integers(1, 3), st.data())
-def test_no_contender_waits_for_longer_than_twice_their_number(nodes, count, slots, data):
-    """Whatever all nodes bid in every cycle."""
-    bus, state = bus_of(nodes, count, min(slots, nodes)), begin_arbitration(nodes)
-    levels = data.draw(st.lists(st.integers(0, 2 * MOST), min_size=nodes, max_size=nodes))
-    for cycle in range(6 * nodes):
-        awards = bus.arbitrate(state, cycle, 0, range(nodes), np.array(levels), unasked)
-        state = awards.state
-        assert state.waits.max() <= 2 * nodes - 1
-        if cycle % 5 == 0:
-            levels = data.draw(st.permutations(levels))
-
-
-@quick
 @given(st.integers(2, 7), st.integers(1, 7), st.permutations(range(7)), st.integers(0, 6))
 def test_equal_urgency_alone_depends_on_the_node(nodes, slots, order, shift):
     """Nodes in classes of their own win by class: renaming nodes renames winners."""

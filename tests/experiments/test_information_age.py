@@ -24,13 +24,35 @@ def test_records_and_shares_are_as_old_where_shares_have_room(graph):
     assert records.observed_steps == records.bound_steps
 
 
-def test_a_tenth_of_the_bus_has_ages_and_no_bound():
-    options = {"graph": "path", "occupancy": 0.2, "schedule": "dynamic"}
-    for rule in ("ci", "labelled"):
-        age = information_age(oscillator(rule=rule, **options))
+@pytest.mark.parametrize("rule", ["ci", "labelled"])
+def test_contended_slots_bound_the_age_where_age_decides(rule):
+    """Six nodes on a path: five links, each after 2 * 6 - 1 cycles at most, at first."""
+    options = {"graph": "path", "occupancy": 0.2, "schedule": "dynamic", "rule": rule}
+    age = information_age(oscillator(**options))
+    assert age is not None
+    assert 1 <= age.observed_steps < 30
+    if rule == "ci":
+        assert age.bound_steps == -(-(4 * 7 + 11) // 3) - 1
+        assert age.observed_steps <= age.bound_steps
+        assert age.why == "a contender wins once in 7 cycles at least"
+    else:
+        assert age.bound_steps is None
+        assert "a window holds 32 steps" in age.why
+        wide = information_age(oscillator(window_steps=255, **options))
+        assert wide is not None
+        assert wide.bound_steps == -(-5 * (72 + 5) // 3) - 1
+
+
+def test_what_lets_a_node_wait_for_ever_is_named():
+    options = {"rule": "ci", "graph": "path", "occupancy": 0.2, "schedule": "dynamic"}
+    for more, why in [
+        ({"arbiter": "wtod"}, "every contest with --arbiter wtod"),
+        ({"trigger": 0.5}, "--trigger"),
+    ]:
+        age = information_age(oscillator(**options, **more))
         assert age is not None
         assert age.bound_steps is None
-        assert 1 <= age.observed_steps < 30
+        assert why in age.why
 
 
 def test_losses_are_seen_in_records_alone():
