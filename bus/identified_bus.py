@@ -4,39 +4,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from math import inf
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
+from concord.bus.arbitration import Arbiter, ArbiterState, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
+from concord.bus.contended_bus import BidClasses, ContendedBus
 from concord.bus.identified_frames import Framing, identifier_of
-from concord.bus.longest_wait import LongestWait, longest_wait
 from concord.bus.numbered_fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
 
 
-class BidClasses(Protocol):
-    """Classes of bids: 0 is the most urgent (`concord.bus.urgency_classes`)."""
-
-    @property
-    def count(self) -> int:
-        """Return the number of classes."""
-        ...
-
-    @property
-    def old_after(self) -> int | None:
-        """Return after how many contests in vain a node has the first class; None for never."""
-        ...
-
-    def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
-        """Return the class of each bid (...) of a node that asked in vain `waits` (...) times."""
-        ...
-
-
-class IdentifiedBus(ABC):
+class IdentifiedBus(ContendedBus, ABC):
     """The part of `concord.bus.bus.Bus` that is the same for buses with identifiers.
 
     All shares of a cycle are ready at its beginning. A cycle lasts as long as the longest one that
@@ -155,21 +137,14 @@ class IdentifiedBus(ABC):
         """Award the turns of one group of a cycle (`concord.bus.bus.Bus.arbitrate`)."""
         places = np.asarray(nodes, dtype=np.int64)
         owned = [self.identifiers(node, cycle) for node in places.tolist()]
-        most = self.schedule.groups(cycle)[group].dynamic_slots
-        if not self._arbiter.withdraws:
-            most = len(owned)
+        slots = self.schedule.groups(cycle)[group].dynamic_slots
+        most = slots if self._arbiter.withdraws else len(owned)
         classes = self.classes.of(bids, state.waits[..., places])
         first = np.array([one.start for one in owned], dtype=np.int64)
         step = np.array([one.step for one in owned], dtype=np.int64)
         ids = first + step * classes
         state, wins = award(self._arbiter, state, places, ids, bids, most)
         return Awards(state, wins, classes)
-
-    @property
-    def longest_wait(self) -> LongestWait | None:
-        """Return the longest wait of a contender (`concord.bus.longest_wait.BoundsWaits`)."""
-        room = max(self.schedule.dynamic_slot_table)
-        return longest_wait(self._arbiter, self.classes.old_after, self.schedule, room)
 
     def _most_senders(self, cycle: int) -> int:
         contenders = len(self.schedule.contenders(cycle))

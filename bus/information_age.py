@@ -79,7 +79,7 @@ def _longest_gap(schedule: Schedule, node: int, wait_cycles: int) -> float:
     """In how many cycles in a row a node sends once at least; infinite for one that never may."""
     rows = len(schedule.static_table)
     sends = [cycle for cycle in range(2 * rows) if node in schedule.static_senders(cycle)]
-    gaps: list[float] = [max(np.diff(sends))] if sends else []
+    gaps = [float(np.diff(sends).max())] if sends else []
     if any(node in row for row in schedule.contender_table):
         gaps.append(wait_cycles)
     return min(gaps, default=np.inf)

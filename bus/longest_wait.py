@@ -26,7 +26,7 @@ most M - 1 others win before it does.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from concord.bus.arbitration import Arbiter
 from concord.bus.schedule import Schedule
@@ -41,16 +41,6 @@ class LongestWait(NamedTuple):
 
     first_cycles: int
     next_cycles: int
-
-
-@runtime_checkable
-class BoundsWaits(Protocol):
-    """A bus that knows how long its contenders wait at most."""
-
-    @property
-    def longest_wait(self) -> LongestWait | None:
-        """Return the longest wait of any contender; None where it may be for ever."""
-        ...
 
 
 def longest_wait(

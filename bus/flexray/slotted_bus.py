@@ -1,7 +1,6 @@
 """A bus of slots with frame IDs: shares in FlexRay frames, and slots awarded by an arbiter."""
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -17,6 +16,7 @@ from concord.bus.arbitration import (
     unclassed,
 )
 from concord.bus.bus import Awards, Fragment, Rejected, SharePlace
+from concord.bus.contended_bus import ContendedBus
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import (
     SHARE_FRAMES,
@@ -28,7 +28,6 @@ from concord.bus.flexray.share_frames import (
     to_frames,
     whole_body,
 )
-from concord.bus.longest_wait import LongestWait, longest_wait
 from concord.bus.numbered_fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
@@ -41,7 +40,7 @@ for a node with slots of its own, none for a node without slots."""
 _NOT_COUNTED = -1, 0
 
 
-class SlottedBus:
+class SlottedBus(ContendedBus):
     """The part of `concord.bus.bus.Bus` that needs no time: it gives each share consecutive
     slots."""
 
@@ -148,27 +147,6 @@ class SlottedBus:
     def losing_bids(self) -> LosingBids | None:
         """The largest bids that losers may have beside a winner's; None where bids do not count."""
         return unclassed if self._arbiter.urgency is largest_bid else None
-
-    def dynamic_room(self) -> int:
-        """Return how many of the contenders that may win in a cycle fit whichever of them do, in
-        whatever class."""
-        return self._most_winners
-
-    @property
-    def longest_wait(self) -> LongestWait | None:
-        """Return the longest wait of a contender (`concord.bus.longest_wait.BoundsWaits`)."""
-        room = self.dynamic_room()
-        return longest_wait(self._arbiter, self.classes.old_after, self.schedule, room)
-
-    @property
-    def _most_winners(self) -> int:
-        slots = max(self.schedule.dynamic_slot_table)
-        contenders = len(self._contenders) if slots else 0
-        return min(slots, contenders) if self._arbiter.withdraws else contenders
-
-    @cached_property
-    def _contenders(self) -> list[int]:
-        return sorted({node for row in self.schedule.contender_table for node in row})
 
     def arbitrate(
         self,

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.contended_bus import ContendedBus
 from concord.bus.information_age import (
     greatest_ages_steps,
     worst_age_steps,
     worst_contended_age_steps,
 )
-from concord.bus.longest_wait import BoundsWaits
 from concord.experiments.design.search import FRESH_RUN
 from concord.experiments.monte_carlo.run_figures import kept
 from concord.experiments.monte_carlo.simulate import simulate
@@ -76,7 +76,7 @@ def _bound(setup: Setup) -> tuple[int | None, str]:
         return worst, "" if worst is not None else _APART
     if trigger_of(contention) > 0:
         return None, "a node with little news (--trigger) is silent, however old its last share is"
-    wait = bus.longest_wait if isinstance(bus, BoundsWaits) else None
+    wait = bus.longest_wait if isinstance(bus, ContendedBus) else None
     if wait is None:
         return None, f"a node may lose every contest with --arbiter {arbiter_of(contention)}"
     floods = isinstance(scenario.rule, FloodingRule)
