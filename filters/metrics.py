@@ -50,10 +50,5 @@ def anees(errors: np.ndarray, cov: np.ndarray, axes: tuple[int, ...]) -> np.ndar
 
 
 def consensus(mean: np.ndarray) -> np.ndarray:
-    """The average (steps, 1, m) of the estimates (steps, N, m) of the nodes that have one."""
-    return mean_of_known(mean, (1,))[:, None]
-
-
-def disagreement(mean: np.ndarray) -> float:
-    """Root mean square distance of the nodes' estimates (steps, N, m) from their average."""
-    return float(rmse(mean - consensus(mean), (0, 1)))
+    """The average (..., 1, m) of the estimates (..., N, m) of the nodes that have one."""
+    return mean_of_known(mean, (-2,))[..., None, :]

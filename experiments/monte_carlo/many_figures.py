@@ -9,18 +9,23 @@ from rich.table import Table
 
 from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
-from concord.experiments.monte_carlo.run_figures import scored_steps, traffic_of
+from concord.experiments.monte_carlo.network_errors import (
+    RunTruths,
+    errors_alone,
+    network_errors,
+    scored_steps,
+    where_counted,
+)
+from concord.experiments.monte_carlo.run_figures import traffic_of
 from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
 from concord.experiments.results.innovations.figures import InnovationFigures
 from concord.experiments.results.innovations.of_run import judged
 from concord.experiments.results.trace import Past
-from concord.experiments.tracking.tracks_trace import errors_of_tracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
-from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import HearsAll, Innovations, innovations_of_all
-from concord.scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
 
@@ -94,26 +99,16 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
     score = definition_of(scenario).score
-    counted = scored_steps(score, histories.readings)
+    known = RunTruths(histories.truth, histories.readings, histories.tracks)
+    counted = scored_steps(score, known.readings)
     runs, nodes = histories.runs.tolist(), scenario.nodes
-    alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
-    known = histories.truth[:, :, None]
-    of_node = _where(counted, histories.mean - known)[..., list(score.states)]
-    of_alone = _where(counted, alone.mean - known)[..., list(score.states)]
+    alone = local_only_of_runs(setup, runs, known.readings, histories.control)
+    of_alone = where_counted(counted, errors_alone(setup, known, alone.mean))
     heard = _heard(histories)
-    of_central, anees_central = _centralised(histories, counted, heard.belief)
-    if histories.tracks:
-        of_node, of_alone, of_central = _of_tracks(histories, counted)
+    errors = network_errors(setup, known, histories.mean, histories.nees, heard.belief)
+    of_node, of_central, spread, consistency, consistency_central = errors.where(counted)
     per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
     central = rmse(of_central, (1,))
-    states = len(score.nees_states)
-    values = np.full_like(histories.nees, np.nan) if is_set_valued(scenario) else histories.nees
-    consistency = _where(counted, values) / states
-    spread = _where(counted, histories.mean)[..., list(score.states)]
-    # Of those nodes that believe something: some may be out.
-    spread = spread - mean_of_known(spread, (2,))[:, :, None]
-    if histories.tracks:
-        spread = np.full_like(spread, np.nan)
     whole = rmse(of_node, (1, 2))
     carried = traffic_of(setup, histories)
     innovations, sentence = _judged(histories, heard, counted, mean_of_known(consistency, (2,)))
@@ -130,7 +125,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         worst_node_to_centralised=positive_mean_t(largest_of_known(per_node) / central),
         disagreement=positive_mean_t(rmse(spread, (1, 2))),
         anees=positive_mean_t(mean_of_known(consistency, (1, 2))),
-        anees_centralised=positive_mean_t(anees_central),
+        anees_centralised=positive_mean_t(mean_of_known(consistency_central, (1,))),
         shares_sent=float(_frames(histories, "sent").sum()),
         shares_missed=float(_frames(histories, "missed").sum()),
         bytes_per_step=positive_mean_t(carried["bytes_per_step"]),
@@ -202,40 +197,6 @@ def _frames(histories: Histories, name: str) -> np.ndarray:
     """Return each node's count under a name, or under names that begin with it, per run (N,)."""
     none = np.zeros((len(histories.runs), histories.setup.scenario.nodes))
     return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
-
-
-def _centralised(
-    histories: Histories, counted: np.ndarray, belief: Gaussian
-) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
-    setup = histories.setup
-    score = definition_of(setup.scenario).score
-    shape = histories.truth.shape
-    errors = _where(counted, belief.mean - histories.truth)
-    if is_set_valued(setup.scenario):
-        return errors[..., list(score.states)], np.full(shape[0], np.nan)
-    normalised = scored_nees(setup.scenario, errors, belief.cov)
-    anees = mean_of_known(normalised, (1,)) / len(score.nees_states)
-    return errors[..., list(score.states)], anees
-
-
-def _of_tracks(
-    histories: Histories, counted: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """GOSPA (R, S, N, 1) of nodes and of each alone, (R, S, 1) of one tracker with all scans."""
-    readings = histories.readings
-    assert readings is not None, "the caller has looked"
-    runs = [
-        errors_of_tracks(histories.setup, *one)
-        for one in zip(histories.tracks, readings, strict=True)
-    ]
-    nodes, alone, centre = (np.stack(parts) for parts in zip(*runs, strict=True))
-    return _where(counted, nodes), _where(counted, alone), _where(counted, centre)
-
-
-def _where(counted: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (R, S, ...), NaN in steps that do not count."""
-    return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
 
 
 def table(figures: ManyFigures, title: str) -> Table:

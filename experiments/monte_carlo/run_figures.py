@@ -11,18 +11,21 @@ from scipy.special import chdtri
 
 from concord.experiments.monte_carlo.energy import energy_per_bit_nj
 from concord.experiments.monte_carlo.histories import Histories
+from concord.experiments.monte_carlo.network_errors import (
+    NetworkErrors,
+    RunTruths,
+    network_errors,
+    scored_steps,
+    where_counted,
+)
 from concord.experiments.monte_carlo.run_frame import RunFrame
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.experiments.tracking.tracking_figures import track_figures
-from concord.experiments.tracking.tracks_trace import distances_of_centre
 from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import symmetrise
 from concord.filters.metrics import largest_of_known, mean_of_known
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
-from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.rules import is_set_valued
-from concord.scenarios.scenario_definition import Score
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.frame_formats import frame_format
 
@@ -36,20 +39,12 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
     readings, _ = kept(histories)
     counted = scored_steps(score, readings)
     scored = _Scored(min(score.first_step, counted.shape[1] - 1), counted)
-    errors = histories.mean - histories.truth[:, :, None]
-    central = frame.mean - histories.truth
-    squares = errors**2
+    central = Gaussian(frame.mean, frame.cov)
+    known = RunTruths(histories.truth, readings, histories.tracks)
+    errors = network_errors(setup, known, histories.mean, histories.nees, central)
     # Squared lengths in the scored states.
-    lengths = squares[..., states].sum(-1)
-    central_lengths = (central[..., states] ** 2).sum(-1)
-    means = histories.mean[..., states]
-    spreads = ((means - _average(means)) ** 2).sum(-1)
-    if histories.tracks:
-        runs = list(zip(histories.tracks, readings, strict=True))
-        lengths = np.stack([tracks.distances() for tracks, _ in runs]) ** 2
-        central_lengths = np.stack([distances_of_centre(setup, *one) for one in runs]) ** 2
-        # No average of sets of tracks is defined, from which they could differ.
-        spreads = np.full_like(lengths, np.nan)
+    lengths, central_lengths, spreads = ((part**2).sum(-1) for part in errors[:3])
+    squares = (histories.mean - histories.truth[:, :, None]) ** 2
     blind = np.isnan(readings).all(axis=(-1, -2))
     per_node = _root(scored.of(lengths), (1,))
     figures = {
@@ -68,8 +63,7 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
     }
     figures |= _smoothed(setup, histories, frame, counted)
     figures |= track_figures(setup, histories.tracks, readings)
-    figures |= _consistency(setup, histories.nees, scored)
-    figures["anees_centralised"] = _anees_central(setup, central, frame.cov, scored)
+    figures |= _consistency(errors, scored, len(score.nees_states))
     return figures | traffic_of(setup, histories)
 
 
@@ -79,8 +73,8 @@ def _smoothed(
     if histories.past is None:
         nothing = np.full(len(histories.runs), np.nan)
         return {"rmse_smoothed": nothing, "rmse_smoothed_centralised": nothing}
-    central, known = Gaussian(frame.mean, frame.cov), (histories.truth, histories.control)
-    network, best = smoothed_errors(setup, histories.past, central, *known, counted)
+    known = Gaussian(frame.mean, frame.cov), histories.truth, histories.control
+    network, best = smoothed_errors(setup, histories.past, *known, counted)
     return {"rmse_smoothed": network[:, -1], "rmse_smoothed_centralised": best[:, -1]}
 
 
@@ -88,16 +82,6 @@ def kept(histories: Histories) -> tuple[np.ndarray, np.ndarray]:
     """Readings and ages, which every figure of a network needs."""
     assert histories.readings is not None and histories.ages is not None, "keep both"
     return histories.readings, histories.ages
-
-
-def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:
-    """Which steps (R, steps) count: from the scenario's on, but not before the first reading."""
-    steps = readings.shape[1]
-    seen = np.logical_not(np.isnan(readings).all(axis=(-1, -2, -3)))
-    # The first True; 0 where there is none.
-    first_seen = seen.argmax(axis=1)
-    first = np.minimum(np.maximum(score.first_step, first_seen), steps - 1)
-    return np.arange(steps) >= first[:, None]
 
 
 class _Scored(NamedTuple):
@@ -111,7 +95,7 @@ class _Scored(NamedTuple):
         values, counted = values[:, self.first :], self.counted[:, self.first :]
         if counted.all():
             return values
-        return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
+        return where_counted(counted, values)
 
 
 def _root(squares: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
@@ -119,28 +103,16 @@ def _root(squares: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
     return np.sqrt(mean_of_known(squares, axes))
 
 
-def _consistency(setup: Setup, values: np.ndarray, scored: _Scored) -> dict[str, np.ndarray]:
-    states = definition_of(setup.scenario).score.nees_states
-    if is_set_valued(setup.scenario):
-        nothing = np.full(len(values), np.nan)
-        return {"anees": nothing, "coverage": nothing, "nees": np.full(values.shape[:2], np.nan)}
-    counted = scored.of(values)
-    within = np.where(np.isnan(counted), np.nan, counted <= chdtri(len(states), 1 - COVERED))
+def _consistency(errors: NetworkErrors, scored: _Scored, states: int) -> dict[str, np.ndarray]:
+    counted = scored.of(errors.nees)
+    most = chdtri(states, 1 - COVERED) / states
+    within = np.where(np.isnan(counted), np.nan, counted <= most)
     return {
-        "anees": mean_of_known(counted, (1, 2)) / len(states),
+        "anees": mean_of_known(counted, (1, 2)),
         "coverage": mean_of_known(within, (1, 2)),
-        "nees": mean_of_known(values, (2,)) / len(states),
+        "nees": mean_of_known(errors.nees, (2,)),
+        "anees_centralised": mean_of_known(scored.of(errors.nees_centre), (1,)),
     }
-
-
-def _anees_central(
-    setup: Setup, errors: np.ndarray, cov: np.ndarray, scored: _Scored
-) -> np.ndarray:
-    if is_set_valued(setup.scenario):
-        return np.full(len(errors), np.nan)
-    states = list(definition_of(setup.scenario).score.nees_states)
-    values = scored_nees(setup.scenario, errors, symmetrise(cov))
-    return mean_of_known(scored.of(values), (1,)) / len(states)
 
 
 def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
@@ -232,8 +204,3 @@ def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:
     return cov[..., states, :][..., states]
-
-
-def _average(mean: np.ndarray) -> np.ndarray:
-    """Return the average of the nodes that believe something, over axis 2, kept."""
-    return mean_of_known(mean, (2,))[:, :, None]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from concord.experiments.monte_carlo.run_figures import scored_steps
+from concord.experiments.monte_carlo.network_errors import scored_steps
 from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.experiments.results.folder import ARRAYS, Description, read_description
 from concord.experiments.results.innovations.plots import innovation_figure

@@ -11,6 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.network_errors import (
+    NetworkErrors,
+    RunTruths,
+    errors_alone,
+    network_errors,
+    scored_steps,
+)
 from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
 from concord.experiments.results import bus_report, record_spread, timing_figures
 from concord.experiments.results.alternative import LabelledFigures, in_words
@@ -25,15 +32,13 @@ from concord.experiments.results.innovations.of_run import (
 )
 from concord.experiments.results.record_spread import SpreadFigures
 from concord.experiments.results.run_verdict import anees_interval, verdict, worst_in_words
-from concord.experiments.results.scored_steps import first_scored, near_steps, state_errors
 from concord.experiments.results.smoothing import SmoothingFigures
 from concord.experiments.results.timing_figures import TimingFigures
 from concord.experiments.results.trace import Past, Trace
 from concord.experiments.tracking.tracking_figures import TrackingFigures, tracking_figures
 from concord.experiments.tracking.tracking_figures import lines as tracking_lines
-from concord.experiments.tracking.tracks_trace import errors_of_tracks
 from concord.filters.gaussian import Gaussian
-from concord.filters.metrics import disagreement, largest_of_known, mean_of_known, rmse
+from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
@@ -120,22 +125,17 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     `found` are its innovations, which are computed where they are not given.
     """
     score = definition_of(setup.scenario).score
-    first = first_scored(score, trace)
     found = found or run_innovations(setup, trace)
-    alone = local_only(setup, trace.readings, trace.control)
     central = _centralised(setup, trace, found)
-    network = Gaussian(trace.mean, trace.cov)
-    of_node, of_alone, of_central = _errors_of(setup, trace, (network, alone, central), first)
-    per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
-    who = _believers(network)
-    central_rmse = float(rmse(of_central, (0,)))
-    near = near_steps(score, trace, setup.time_step_s)[first:]
-    consistency = _consistency(setup, network, trace, first, (0,))
+    errors, of_alone, first = _errors_of(setup, trace, central)
+    per_node, per_alone = rmse(errors.nodes, (0,)), rmse(of_alone, (0,))
+    who = _believers(trace)
+    central_rmse = float(rmse(errors.centre, (0,)))
+    near = _near_steps(score, trace, setup.time_step_s)[first:]
+    consistency = mean_of_known(errors.nees, (0,))
     set_valued, counters = is_set_valued(setup.scenario), trace.counters
     contained = partial(_contained, trace) if set_valued else lambda _: None
-    if set_valued:
-        consistency = np.full_like(consistency, np.nan)
-    per_step = _consistency(setup, network, trace, first, (1,))
+    per_step = mean_of_known(errors.nees, (1,))
     of_steps = anees_interval(per_step)
     innovations, sentence = judged_run(setup, found, first, per_step)
     return Figures(
@@ -143,17 +143,17 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         unit=score.unit,
         steps=trace.steps,
         first_step=first,
-        rmse=float(rmse(of_node, (0, 1))),
+        rmse=float(rmse(errors.nodes, (0, 1))),
         rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
-        disagreement=_disagreement(network.mean[first:, who], trace, score),
-        anees=_unless(set_valued, _consistency(setup, network, trace, first, (0, 1))),
-        anees_centralised=_unless(set_valued, _consistency(setup, central, trace, first, (0,))),
+        disagreement=float(rmse(errors.spread[:, who], (0, 1))),
+        anees=float(mean_of_known(errors.nees, (0, 1))),
+        anees_centralised=float(mean_of_known(errors.nees_centre, (0,))),
         near_s=score.near_s,
-        rmse_near=rmse(of_node[near], (0,)).tolist(),
+        rmse_near=rmse(errors.nodes[near], (0,)).tolist(),
         rmse_near_local_only=rmse(of_alone[near], (0,)).tolist(),
-        rmse_near_centralised=float(rmse(of_central[near], (0,))),
+        rmse_near_centralised=float(rmse(errors.centre[near], (0,))),
         shares_sent=sum(c.get("sent", 0) for c in counters),
         shares_missed=sum(c.get("missed", 0) for c in counters),
         noticed=noticed(counters),
@@ -173,7 +173,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         ],
         containment=contained(who),
         containment_centralised=containment(central, trace.truth) if set_valued else None,
-        anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
+        anees_interval=None if np.isnan(of_steps.low) else of_steps[1:],
         spread=trace.spread and record_spread.figures_of(trace.spread),
         suspect=None if trace.suspect is None else trace.suspect.sum(axis=0).tolist(),
         smoothed=trace.past and _smoothed(setup, trace, trace.past, central, first),
@@ -183,9 +183,9 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     )
 
 
-def _believers(network: Gaussian) -> slice | np.ndarray:
+def _believers(trace: Trace) -> slice | np.ndarray:
     """The nodes that estimate: the sensors of a measurement bus believe nothing."""
-    believers = ~np.isnan(network.mean).all(axis=(0, 2))
+    believers = ~np.isnan(trace.mean).all(axis=(0, 2))
     return slice(None) if believers.all() else np.flatnonzero(believers)
 
 
@@ -217,10 +217,6 @@ def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
     return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
 
 
-def _unless(set_valued: bool, anees_: np.ndarray) -> float:
-    return float("nan") if set_valued else float(anees_)
-
-
 def _contained(trace: Trace, who: int | slice | np.ndarray) -> Containment | None:
     """Whether the sets of some nodes hold the truth; None for nodes that estimate nothing."""
     mean, cov = trace.mean[:, who], trace.cov[:, who]
@@ -232,28 +228,28 @@ def _contained(trace: Trace, who: int | slice | np.ndarray) -> Containment | Non
 
 
 def _errors_of(
-    setup: Setup, trace: Trace, beliefs: Sequence[Gaussian], first: int
-) -> tuple[np.ndarray, ...]:
-    """Errors of the network, of each node alone, and of the centralised filter."""
-    if trace.tracks is not None:
-        return tuple(one[first:] for one in errors_of_tracks(setup, trace.tracks, trace.readings))
+    setup: Setup, trace: Trace, central: Gaussian
+) -> tuple[NetworkErrors, np.ndarray, int]:
+    """Errors of the network and of each node alone, from the first scored step on, and that."""
+    tracks = () if trace.tracks is None else (trace.tracks,)
+    known = RunTruths(trace.truth[None], trace.readings[None], tracks)
     score = definition_of(setup.scenario).score
-    return tuple(state_errors(one.mean, trace.truth, score, first) for one in beliefs)
+    first = int(scored_steps(score, known.readings)[0].argmax())
+    alone = local_only(setup, trace.readings, trace.control)
+    nees = scored_nees(setup.scenario, trace.mean - trace.truth[:, None], trace.cov)
+    centre = Gaussian(central.mean[None], central.cov[None])
+    errors = network_errors(setup, known, trace.mean[None], nees[None], centre)
+    of_alone = errors_alone(setup, known, alone.mean[None])
+    return errors.of_run(first), of_alone[0, first:], first
 
 
-def _disagreement(mean: np.ndarray, trace: Trace, score: Score) -> float:
-    # No average of sets of tracks is defined, from which they could differ.
-    return np.nan if trace.tracks else disagreement(mean[..., list(score.states)])
-
-
-def _consistency(
-    setup: Setup, belief: Gaussian, trace: Trace, first: int, axes: tuple[int, ...]
-) -> np.ndarray:
-    score = definition_of(setup.scenario).score
-    every = score._replace(states=tuple(range(belief.mean.shape[-1])))
-    errors = state_errors(belief.mean, trace.truth, every, first)
-    values = scored_nees(setup.scenario, errors, belief.cov[first:])
-    return mean_of_known(values, axes) / len(score.nees_states)
+def _near_steps(score: Score, trace: Trace, time_step_s: float) -> np.ndarray:
+    """Which steps (steps,) are at most `near_s` after a reading by any node."""
+    if score.near_s is None:
+        return np.ones(trace.steps, dtype=bool)
+    seen = ~np.isnan(trace.readings).all((1, 2, 3))
+    reach = round(score.near_s / time_step_s)
+    return np.convolve(seen, np.ones(reach + 1))[: trace.steps] > 0.5
 
 
 def table(figures: Figures, title: str) -> Table:

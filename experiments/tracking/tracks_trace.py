@@ -75,22 +75,9 @@ def distances_of_centre(setup: Setup, tracks: TracksTrace, readings: np.ndarray)
     return log_alone(setup, everybody, readings, tracks.paths).distances(len(tracks.paths))
 
 
-def _distances_alone(setup: Setup, tracks: TracksTrace, readings: np.ndarray) -> np.ndarray:
+def distances_alone(setup: Setup, tracks: TracksTrace, readings: np.ndarray) -> np.ndarray:
     """GOSPA in m (steps, N) of trackers that have the scans (steps, N, 1 + D, 2) of one node."""
     logs = (
         log_alone(setup, [node], readings, tracks.paths) for node in range(setup.scenario.nodes)
     )
     return np.stack([log.distances(len(tracks.paths)) for log in logs], axis=1)
-
-
-def errors_of_tracks(
-    setup: Setup, tracks: TracksTrace, readings: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """GOSPA in m of nodes and of each alone (steps, N, 1), and of one tracker with all scans
-    (steps, 1)."""
-    several = setup, tracks, readings
-    return (
-        tracks.distances()[..., None],
-        _distances_alone(*several)[..., None],
-        distances_of_centre(*several)[..., None],
-    )

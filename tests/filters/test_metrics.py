@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from concord.filters.metrics import anees, disagreement, nees, rmse
+from concord.filters.metrics import anees, consensus, nees, rmse
 from tests.filters.support import random_spd
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -77,4 +77,6 @@ def test_disagreement_is_the_mean_distance_of_pairs(seed: int, nodes: int):
         for i in range(nodes)
         for j in range(nodes)
     ]
-    assert disagreement(mean) == pytest.approx(np.sqrt(np.mean(squares) / 2), rel=1e-9, abs=1e-12)
+    assert rmse(mean - consensus(mean), (0, 1)) == pytest.approx(
+        np.sqrt(np.mean(squares) / 2), rel=1e-9, abs=1e-12
+    )
