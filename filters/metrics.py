@@ -44,11 +44,6 @@ def nees(errors: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return np.where(known, np.vecdot(whitened, whitened), np.nan)
 
 
-def anees(errors: np.ndarray, cov: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
-    """Average NEES over `axes` divided by the dimension: 1 is consistent, above overconfident."""
-    return mean_of_known(nees(errors, cov) / errors.shape[-1], axes)
-
-
 def consensus(mean: np.ndarray) -> np.ndarray:
     """The average (..., 1, m) of the estimates (..., N, m) of the nodes that have one."""
     return mean_of_known(mean, (-2,))[..., None, :]

@@ -10,7 +10,6 @@ from decimal import Decimal
 from concord.bus.flexray.clock_constraints import clock_range_violations, clock_violations
 from concord.bus.flexray.cluster_parameters import ClusterParameters
 from concord.bus.flexray.parameter import Parameter
-from concord.bus.flexray.segment_constraints import segment_violations
 
 PARAMETERS: dict[str, Parameter] = {
     "cycle_us": Parameter("gdCycle", 10, 16000),
@@ -70,7 +69,7 @@ def violations(cluster: ClusterParameters) -> tuple[str, ...]:
     """Every constraint between values that the cluster breaks; its ranges are kept."""
     return (
         *_tick_constraints(cluster),
-        *segment_violations(cluster),
+        *_segment_violations(cluster),
         *clock_violations(cluster),
     )
 
@@ -165,3 +164,43 @@ def _cycle_sum(cluster: ClusterParameters) -> Iterator[str]:
         f"{cluster.minislot_macroticks} x {cluster.minislots} + {cluster.symbol_window_macroticks} "
         f"+ {cluster.network_idle_time_macroticks} = {total}; " + " or ".join(cures)
     )
+
+
+def _segment_violations(cluster: ClusterParameters) -> Iterator[str]:
+    """Yield a sentence for each slot that is too short for its frame."""
+    yield from _short_static_slot(cluster)
+    if cluster.minislots == 0:
+        return
+    if cluster.minislot_action_point_macroticks >= cluster.minislot_macroticks:
+        yield (
+            "minislot action point (gdMinislotActionPointOffset < gdMinislot): "
+            f"minislot_action_point_macroticks is {cluster.minislot_action_point_macroticks}, but "
+            f"a minislot has {cluster.minislot_macroticks} macroticks; set a smaller offset"
+        )
+    yield from _late_transmission(cluster)
+
+
+def _short_static_slot(cluster: ClusterParameters) -> Iterator[str]:
+    need = cluster.static_frame_macroticks(cluster.static_payload_bytes)
+    if need > cluster.static_slot_macroticks:
+        yield (
+            "constraint 12 (gdStaticSlot >= 2 x gdActionPointOffset + frame + 11 idle bits, at "
+            "1500 ppm): "
+            f"static_slot_macroticks is {cluster.static_slot_macroticks}, but a frame of "
+            f"{cluster.static_payload_bytes} bytes needs {need} macroticks; set "
+            f"static_slot_macroticks to {need} or fewer static_payload_words"
+        )
+
+
+def _late_transmission(cluster: ClusterParameters) -> Iterator[str]:
+    latest = cluster.latest_start_minislot
+    if cluster.latest_transmission_minislot > latest:
+        longest = cluster.dynamic_slot_most_minislots(cluster.dynamic_payload_bytes)
+        yield (
+            "constraint 15 (pLatestTx <= gNumberOfMinislots - longest dynamic slot + 1, at 1500 "
+            "ppm): "
+            f"latest_transmission_minislot is {cluster.latest_transmission_minislot}, but a "
+            f"dynamic frame of {cluster.dynamic_payload_bytes} bytes lasts {longest} of "
+            f"{cluster.minislots} minislots; set latest_transmission_minislot to {latest} or fewer "
+            "dynamic_payload_words"
+        )

@@ -1,6 +1,10 @@
-"""Association of tracks and detections: a table of ways from weights to probabilities."""
+"""Association of tracks and detections: a table of ways from weights to probabilities.
+
+Clusters are tracks that share detections, directly or through other tracks.
+"""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,7 +13,6 @@ from concord.filters.association.best_hypotheses import (
     best_hypotheses,
     best_hypothesis,
 )
-from concord.filters.association.clusters import TrackCluster, clusters
 from concord.filters.association.matchings import matching_marginals
 from concord.filters.association.weights import Association, Weights
 
@@ -19,6 +22,35 @@ BEST = 100
 """Number of hypotheses that stand for all of a cluster that is too large."""
 BEST_UP_TO = 30
 """Number of tracks or detections above which the best hypothesis alone stands for all."""
+
+
+class TrackCluster(NamedTuple):
+    """Tracks and detections that no possible pair joins with others; indices in order."""
+
+    tracks: np.ndarray
+    detections: np.ndarray
+
+
+def clusters(possible: np.ndarray) -> list[TrackCluster]:
+    """Clusters of the pairs (T, D) that are possible, in the order of their first track.
+
+    A track without a possible detection, and a detection without a possible track, is in none.
+    """
+    found: list[TrackCluster] = []
+    left = np.asarray(possible.any(axis=1))
+    for first in np.flatnonzero(left):
+        if not left[first]:
+            continue
+        detections = possible[first]
+        while True:
+            tracks = possible[:, detections].any(axis=1)
+            reached = possible[tracks].any(axis=0)
+            if (reached == detections).all():
+                break
+            detections = reached
+        left &= ~tracks
+        found.append(TrackCluster(np.flatnonzero(tracks), np.flatnonzero(detections)))
+    return found
 
 
 def joint_probabilities(weights: Weights, exact_up_to: int = EXACT_UP_TO) -> Association:

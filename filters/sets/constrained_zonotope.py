@@ -65,20 +65,6 @@ def around(one: Zonotope) -> ConstrainedZonotope:
     return ConstrainedZonotope(len(one.centre), one)
 
 
-def gauge(one: ConstrainedZonotope, point: np.ndarray) -> float:
-    """Least max |xi_i| that gives a point (n,); at most 1 inside, inf if none does.
-
-    The solver drops coefficients below 1e-9, so the value is what its multipliers prove.
-    """
-    centre, generators = one.lifted
-    values = join_entries(point, np.zeros(len(centre) - one.states)) - centre
-    found = _shortest(generators, values)
-    if not found.success:
-        return float("inf")
-    multipliers = found.eqlin.marginals / row_units(generators)
-    return float(abs(multipliers @ values) / np.abs(multipliers @ generators).sum())
-
-
 def constrained_step(
     before: ConstrainedZonotope,
     evidence: StepReadings,

@@ -5,15 +5,14 @@ of its own instead of one for all. Second, the received values cut the set of po
 paper's feedback only moves the centre. Third, once the winner's change is known, the constraint on
 a loser is a convex strip, |change_j| <= sqrt(Q_winner / Q_j) |change_winner|.
 
-With one step at a time in place of a whole cycle the same function gives an ellipsoid in every step
-(`step_by_step`). Without readings the result is the sum of ellipsoids. With one reading it is the
-classical set-membership filter (Schweppe (1968); Fogel and Huang (1982)).
+With one step at a time in place of a whole cycle the same function gives an ellipsoid in every
+step. Without readings the result is the sum of ellipsoids. With one reading it is the classical
+set-membership filter (Schweppe (1968); Fogel and Huang (1982)).
 
 Source: Liu et al. (2021), the system of section III under its own bounds; the sections on
 conditioning are ours, after Boyd et al. (1994), section 3.7.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -94,17 +93,6 @@ def conditioned(
     grown = grow(after, _rounding(before, motion, exact, image), criterion, uncut)
     lost = lost | is_lost(after)
     return ConditionedResult(lose(grown, lost), np.where(lost, np.nan, bound.gap))
-
-
-def step_by_step(
-    before: Ellipsoid, steps: Sequence[StepReadings], criterion: Criterion = unit_free
-) -> list[Ellipsoid]:
-    """The ellipsoids after each of several steps of the plant."""
-    ellipsoids = []
-    for evidence in steps:
-        before = conditioned_step(before, evidence, criterion)
-        ellipsoids.append(before)
-    return ellipsoids
 
 
 def _joined(before: Ellipsoid, state: np.ndarray, noise: np.ndarray) -> np.ndarray:

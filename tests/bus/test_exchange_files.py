@@ -258,19 +258,30 @@ def test_wrong_autosar_files_are_one_sentence(old: str, new: str, said: str):
     assert "\n" not in str(refused.value)
 
 
-def test_document_types_are_refused_in_autosar_too():
-    with pytest.raises(ClusterFileError, match="ARXML file declares a document type"):
-        cluster_from_arxml("<!DOCTYPE f [<!ENTITY e '1'>]><f>&e;</f>")
+def entity_bomb(encoding: str) -> bytes:
+    entities = "".join(f'<!ENTITY e{level + 1} "{f"&e{level};" * 10}">' for level in range(30))
+    return (
+        f'<?xml version="1.0" encoding="{encoding}"?>'
+        f'<!DOCTYPE f [<!ENTITY e0 "ha">{entities}]><f>&e30;</f>'
+    ).encode(encoding)
 
 
-@quick
-@given(st.data())
-def test_a_damaged_autosar_file_is_read_or_refused(data: st.DataObject):
-    text = cluster_to_arxml(DEMO, [MessageSlot(frame_id=3, payload_bytes=8)])
+@each_format
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_document_types_are_refused_before_entities_can_grow(form: Format, encoding: str):
+    with pytest.raises(ClusterFileError, match="file declares a document type"):
+        form.read(entity_bomb(encoding))
+
+
+@each_format
+@settings(parent=quick)
+@given(data=st.data())
+def test_a_damaged_file_is_read_or_refused(form: Format, data: st.DataObject):
+    text = form.write(DEMO, [MessageSlot(frame_id=3, payload_bytes=8)])
     start = data.draw(st.integers(0, len(text)))
     end = data.draw(st.integers(start, min(len(text), start + 40)))
     damaged = text[:start] + data.draw(st.text(max_size=5)) + text[end:]
-    for read in (cluster_from_arxml, slots_from_arxml):
+    for read in (form.read, form.read_slots):
         try:
             read(damaged)
         except ClusterFileError as refused:

@@ -1,5 +1,7 @@
 """Small recorded runs for the tests of the dashboard."""
 
+from functools import cache
+
 import msgspec
 
 from concord.dashboard.frames.frame import StepFrame
@@ -18,8 +20,9 @@ def setup_of(name: str, **changes) -> Setup:
     return prepare(definition_named(name).defaults.with_(**changes))
 
 
+@cache
 def run_of(name: str, **changes) -> tuple[Stage, Messages]:
-    """Stage and messages of a run in this process."""
+    """Stage and messages of a run in this process, which is made once."""
     setup = setup_of(name, **changes)
     return set_stage(setup), in_memory(setup)
 

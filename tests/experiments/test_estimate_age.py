@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.results.estimate_age import peak_ages_s
+from concord.experiments.results.timing_figures import peak_ages_s
 from concord.nodes.changes import Event, Gone, Joined
 from concord.nodes.history import history_of
 

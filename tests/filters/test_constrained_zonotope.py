@@ -6,17 +6,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
+from concord.filters.lanes import join_entries
 from concord.filters.sets import constrained_zonotope as constrained
 from concord.filters.sets.bus_readings import step_evidence
 from concord.filters.sets.constrained_zonotope import (
     ConstrainedZonotope,
     around,
     constrained_step,
-    gauge,
     joined,
 )
 from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, no_readings
 from concord.filters.sets.lifted_cycle import DeliveredValues
+from concord.filters.sets.rounding import row_units
 from concord.filters.sets.zonotope import Zonotope, half_widths
 from concord.filters.sets.zonotope_filter import zonotope_step
 from tests.bounded_systems import Sizes, random_plant, run_of, sizes
@@ -32,6 +33,20 @@ def strips(rows: np.ndarray, values: np.ndarray, widths: np.ndarray) -> StepRead
     return StepReadings(
         BoundedMotion(np.eye(n), np.zeros((n, 1, 0))), no_readings(readings), readings
     )
+
+
+def gauge(one: ConstrainedZonotope, point: np.ndarray) -> float:
+    """Least max |xi_i| that gives a point (n,); at most 1 inside, inf if none does.
+
+    The solver drops coefficients below 1e-9, so the value is what its multipliers prove.
+    """
+    centre, generators = one.lifted
+    values = join_entries(point, np.zeros(len(centre) - one.states)) - centre
+    found = constrained._shortest(generators, values)
+    if not found.success:
+        return float("inf")
+    multipliers = found.eqlin.marginals / row_units(generators)
+    return float(abs(multipliers @ values) / np.abs(multipliers @ generators).sum())
 
 
 def holds(one: ConstrainedZonotope, truth: np.ndarray) -> bool:

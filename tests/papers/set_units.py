@@ -16,7 +16,7 @@ from concord.filters.sets.closed_form import closed_form_step
 from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, image
 from concord.filters.sets.lifted_cycle import DeliveredValues
 from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
+from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.sets.zonotope import Zonotope
 from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.plants.bounded import BoundedSystem
@@ -87,8 +87,9 @@ def _tight(plant: MeasuredPlant, received: DeliveredValues, units: Units) -> Wid
 def _fast_rate(plant: MeasuredPlant, received: DeliveredValues, units: Units) -> Widths:
     kept, sets = _ball(units.states, received.values.shape[0]), []
     for cycle in range(received.values.shape[-2]):
-        sets += step_by_step(kept, step_evidence(plant, received, cycle))
-        kept = sets[-1]
+        for evidence in step_evidence(plant, received, cycle):
+            kept = conditioned_step(kept, evidence)
+            sets.append(kept)
     return Widths(
         np.array([one.centre for one in sets]), np.array([half_widths(one) for one in sets])
     )

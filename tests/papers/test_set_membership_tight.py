@@ -25,7 +25,7 @@ from concord.filters.sets.ellipsoid_intersection import strip_intersection
 from concord.filters.sets.evidence import BoundedMotion, Readings, StepReadings, no_readings
 from concord.filters.sets.lifted_cycle import DeliveredValues
 from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.tight_estimator import conditioned_step, step_by_step
+from concord.filters.sets.tight_estimator import conditioned_step
 from concord.filters.sets.zonotope import Zonotope, around, gauge
 from concord.filters.sets.zonotope import half_widths as zonotope_half_widths
 from concord.filters.sets.zonotope_filter import zonotope_step
@@ -61,8 +61,8 @@ def by_step(
 ) -> np.ndarray:
     kept, radii = unit_ball(states.shape[:1], states.shape[-1]), []
     for cycle in range(received.values.shape[-2]):
-        for after in step_by_step(kept, step_evidence(plant, received, cycle)):
-            kept = after
+        for evidence in step_evidence(plant, received, cycle):
+            kept = conditioned_step(kept, evidence)
             radii.append(squared_radius(kept, states[:, len(radii) + 1]))
     return np.array(radii)
 

@@ -66,16 +66,6 @@ def test_all_drivers_agree(bus: str, schedule: dict[str, object]):
     assert found.near and found.differences == ()
 
 
-@pytest.mark.zenoh
-@pytest.mark.parametrize("bus", TIMED)
-def test_the_command_agree_runs_on_it(bus: str, capsys: pytest.CaptureFixture[str]):
-    said = concord(
-        capsys, "agree", "--scenario", "oscillator", "--nodes", 4, "--steps", 5, "--bus", bus,
-        "--schedule", "dynamic", "--occupancy", 0.5,
-    )  # fmt: skip
-    assert said.code == 0, said
-
-
 @pytest.mark.parametrize("bus", TIMED)
 @pytest.mark.parametrize("rule", ["hcmci", "labelled"])
 def test_rules_of_other_shares_agree_in_arrays(bus: str, rule: str):

@@ -20,9 +20,9 @@ from concord.bus.flexray.clocks.correction import (
     Deviations,
     corrections,
     measure,
+    midpoint,
     periods,
 )
-from concord.bus.flexray.clocks.midpoint import midpoint
 from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, spread_us, synchronised
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS

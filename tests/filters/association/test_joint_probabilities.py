@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.filters.association import associate
-from concord.filters.association.associate import ASSOCIATIONS, joint_probabilities
+from concord.filters.association.associate import ASSOCIATIONS, clusters, joint_probabilities
 from concord.filters.association.best_hypotheses import (
     MISSED,
     best_hypotheses,
     best_hypothesis,
 )
-from concord.filters.association.clusters import clusters
 from concord.filters.association.weights import Weights
 
 
