@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.filters import ukf
-from concord.filters.gaussian import Gaussian
 from concord.filters.stochastic_ukf import (
     RECOMMENDED,
     Dynamics,
@@ -166,19 +165,3 @@ def test_a_known_constant_drops_out():
     ).belief
     np.testing.assert_allclose(after.mean, moved.mean + gain @ (values - output), rtol=1e-9)
     np.testing.assert_allclose(after.cov, moved.cov - gain @ output_cov @ gain.T, rtol=1e-9)
-
-
-# --- lanes ---------------------------------------------------------------------------------------
-
-
-def test_a_batch_is_its_lanes_and_a_broken_lane_breaks_alone():
-    runs = [paper_run(seed, 10) for seed in range(4)]
-    prior = Gaussian(np.array([r[0].mean for r in runs]), np.array([r[0].cov for r in runs]))
-    prior.cov[3] = -np.eye(N)
-    received, fresh = (np.stack([r[i] for r in runs], axis=1) for i in (1, 2))
-    together = follow(RECOMMENDED, prior, received, fresh)[-1].belief
-    assert np.isnan(together.mean[3]).all() and np.isnan(together.cov[3]).all()
-    for lane in range(3):
-        alone = follow(RECOMMENDED, runs[lane][0], received[:, lane], fresh[:, lane])[-1].belief
-        np.testing.assert_allclose(together.mean[lane], alone.mean, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(together.cov[lane], alone.cov, rtol=1e-7, atol=1e-9)

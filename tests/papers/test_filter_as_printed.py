@@ -139,7 +139,7 @@ def test_pseudo_inverse_in_lanes(lanes: tuple[int, ...]):
     np.testing.assert_array_equal(broken[1:], inverse[1:])
 
 
-@pytest.mark.parametrize("method", [PAPER_LITERAL, PAPER_LITERAL_R])
+@pytest.mark.parametrize("method", [RECOMMENDED, PAPER_LITERAL, PAPER_LITERAL_R])
 def test_a_batch_is_its_lanes_and_a_broken_lane_breaks_alone(method):
     runs = [paper_run(seed, 10) for seed in range(4)]
     prior = Gaussian(np.array([r[0].mean for r in runs]), np.array([r[0].cov for r in runs]))
