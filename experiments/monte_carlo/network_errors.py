@@ -20,8 +20,8 @@ from concord.scenarios.setup import Setup
 
 
 class RunTruths(NamedTuple):
-    """What R runs of S steps are scored by: truth (R, S, n), readings (R, S, N, r, d), and of
-    several targets the tracks of each run."""
+    """Truth (R, S, n) and readings (R, S, N, r, d) of R runs of S steps, by which they are scored;
+    with the tracks of each run for several targets."""
 
     truth: np.ndarray
     readings: np.ndarray
