@@ -15,7 +15,7 @@ from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import payload_lengths, read_frame
 from concord.bus.schedule import Schedule, dynamic_only
-from concord.bus.urgency_classes import UrgencyClasses
+from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from tests.bus.support import quick
 
 LEAST, MOST = 16, 16 * 2**10
@@ -135,6 +135,44 @@ def test_shares_of_several_frames_have_consecutive_ids_in_each_class():
             ids = [read_frame(frame).frame_id for frame in frames]
             first = bus.cluster.first_dynamic_id + (3 * urgency_class + node) * len(lengths)
             assert ids == list(range(first, first + len(lengths)))
+
+
+@quick
+@given(
+    st.sampled_from(["urgency", "minislot"]),
+    st.integers(2, 8),
+    st.sampled_from([300, 600, 900]),
+    st.sampled_from([AUDI, DEMO]),
+    st.randoms(use_true_random=False),
+)
+def test_hosts_that_withdraw_change_no_winner_where_shares_are_equally_long(
+    arbiter, nodes, share_bytes, cluster, random
+):
+    """Without withdrawal the frames of a share go one by one, and the last share may be cut."""
+    schedule = dynamic_only(nodes, 1.0)
+    classes = ONE_CLASS if arbiter == "minislot" else UrgencyClasses(3, LEAST, MOST, nodes)
+    bus = flexray_bus(schedule, cluster, share_bytes, ARBITERS[arbiter], classes=classes)
+    lengths = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
+    bids = np.array([random.choice([NO_BID, LEAST, MOST]) for _ in range(nodes)])
+    state = begin_arbitration(nodes)
+    sizes = np.full(nodes, sum(lengths))
+    awards = bus.arbitrate(state, 0, 0, range(nodes), bids, lambda: sizes)
+    buffers = {
+        slot.frame_id: (node, length)
+        for node in np.flatnonzero(bids != NO_BID).tolist()
+        for slot, length in zip(bus.slots(node, 0)[int(awards.classes[node])], lengths, strict=True)
+    }
+    sent = [0] * nodes
+    slot, minislot = cluster.first_dynamic_id, 1
+    while minislot <= cluster.latest_transmission_minislot:
+        node, length = buffers.get(slot, (None, 0))
+        if node is not None:
+            sent[node] += 1
+        minislot += 1 if node is None else cluster.dynamic_slot_minislots(length)
+        slot += 1
+    assert awards.wins.tolist() == [frames == len(lengths) for frames in sent]
+    # No more than one share is cut.
+    assert sum(0 < frames < len(lengths) for frames in sent) <= 1
 
 
 @quick
