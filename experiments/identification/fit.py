@@ -111,8 +111,9 @@ def fit(
     heard = as_heard(Heard(channels, car, every), reference)
     tried = heard.sought
     log, best, spreads, deviations = _fitted(heard, tyre, time_step_s, min_speed_m_s, on_step)
+    from_file = spreads + np.where(np.isinf(deviations[0]), 0.0, _read_apart(tried, log.car, car))
     told_of = {
-        one.path: tuple(three) for one, *three in zip(tried, spreads, *deviations, strict=True)
+        one.path: tuple(three) for one, *three in zip(tried, from_file, *deviations, strict=True)
     }
     found = tuple(
         _found(one, value_at(car, one.path), *told_of.get(one.path, _UNTOLD)) for one in every
@@ -120,7 +121,7 @@ def fit(
     moved = np.array([told_of.get(one.path, _UNTOLD)[0] for one in every])
     after, claim = car_with(car, every, moved), None
     if "side_slip" in log.sensors:
-        claim = _claim(log, heard, car_with(heard.car, tried, spreads), tyre)
+        claim = _claim(log, heard, car_with(log.car, tried, spreads), tyre)
         after = _with_claim(after, claim)
     return CarFit(
         _in_new_ratio(after, car),
@@ -131,6 +132,14 @@ def fit(
         best.converged,
         heard.reference_rad,
         claim,
+    )
+
+
+def _read_apart(tried: tuple[Sought, ...], read: Car, file: Car) -> np.ndarray:
+    """Spreads (p,) by which delays with which sensors were read differ from those of the file."""
+    apart = [value_at(read, one.path) - value_at(file, one.path) for one in tried]
+    return np.array(
+        [by / one.spread if one.is_delay else 0.0 for by, one in zip(apart, tried, strict=True)]
     )
 
 
@@ -158,14 +167,14 @@ def _fitted(
         return logged_readings(channels, heard.car, time_step_s, min_speed_m_s)
 
     log = read(heard.channels)
-    widths = widths_of(log, heard.car, tyre, tried, np.zeros(len(tried)))
+    widths = widths_of(log, tyre, tried, np.zeros(len(tried)))
 
     def of(kept: np.ndarray, log: LoggedReadings = log) -> Callable[[np.ndarray], Likelihood]:
         some = tuple(one for one, keep in zip(tried, kept, strict=True) if keep)
 
         def of_some(spreads: np.ndarray) -> Likelihood:
             on_step()
-            return likelihood(log, heard.car, tyre, some, spreads, widths[kept])
+            return likelihood(log, tyre, some, spreads, widths[kept])
 
         return of_some
 
@@ -175,7 +184,7 @@ def _fitted(
     first, told = best.first, _told(tried, _precision(best.likelihood))
     # Far from the truth a delay that shows much has little curvature.
     before = widths
-    widths = widths_of(log, heard.car, tyre, tried, _at_samples(best.spreads, samples))
+    widths = widths_of(log, tyre, tried, _at_samples(best.spreads, samples))
     if not told.all() or (widths != before).any():
         kept = told
         best = _greatest(of(kept), best.spreads[kept], samples[kept])
@@ -210,7 +219,7 @@ def _claim(log: LoggedReadings, heard: Heard, found: Car, tyre: Tyre) -> SlipCla
     process noise is no less than that of the file."""
     alone = heard.reference_rad is not None
     least = heard.car.process_noise.side_slip_rad if alone else 0.0
-    return slip_claim(log, heard.car, found, tyre, least)
+    return slip_claim(log, found, tyre, least)
 
 
 def _with_claim(car: Car, claim: SlipClaim) -> Car:

@@ -17,6 +17,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from concord.experiments.identification.sought import Sought, car_with, process_noise_covs
 from concord.filters.gaussian import Gaussian
@@ -25,8 +26,8 @@ from concord.filters.ukf import predict, update
 from concord.plants.angles import wrapped
 from concord.plants.recorded.channels import (
     ChannelReadings,
-    grid_over,
     interpolated,
+    lateness_s,
     readings_by_step,
 )
 from concord.plants.vehicle.corrections import (
@@ -35,6 +36,7 @@ from concord.plants.vehicle.corrections import (
     earlier,
     earlier_by,
     stamped,
+    steps_over,
 )
 from concord.plants.vehicle.drive_log import speeds_in
 from concord.plants.vehicle.model import SingleTrack, Tyre, axles_of
@@ -94,6 +96,8 @@ class LoggedReadings:
         counted: (steps,), whether the innovations of readings count: the car is fast enough.
         start: belief at the first step, of 6 states, or of 8 where positions are logged.
         time_step_s: of a run.
+        car: of the file, with the delays with which readings came to their steps. A stamp between
+            two steps counts as the nearer one, so they differ from those of the file by less.
     """
 
     readings: np.ndarray
@@ -101,6 +105,7 @@ class LoggedReadings:
     counted: np.ndarray
     start: FirstBelief
     time_step_s: float
+    car: Car
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -121,9 +126,10 @@ def logged_readings(
     The car says which wheels are not driven, and by how much the stamps of sensors are late.
     """
     channels = stamped(channels, car.sensors)
-    grid = grid_over(channels, time_step_s)
+    grid = steps_over(channels, time_step_s)
     names = (*(name for names in channels_of_nodes(car) for name in names), "side_slip")
     columns, there = [], []
+    late_s: dict[str, list[float]] = {}
     for place, name in enumerate(names):
         if name in channels and len(channels[name].values):
             read = channels[name]
@@ -131,6 +137,7 @@ def logged_readings(
                 read = read._replace(values=np.unwrap(read.values))
             columns.append(readings_by_step(read, grid))
             there += [place] * columns[-1].shape[1]
+            late_s.setdefault(_SENSORS[place], []).append(lateness_s(channels[name], grid))
     speed = np.mean([interpolated(channels[name], grid) for name in speeds_in(channels)], axis=0)
     since_s = time_step_s * np.arange(grid.steps)
     return LoggedReadings(
@@ -140,25 +147,34 @@ def logged_readings(
         & (np.minimum(since_s, since_s[-1] - since_s) >= ENDS_S),
         start_of(channels, car.sensors),
         time_step_s,
+        _as_read(car, {name: float(np.mean(each)) for name, each in late_s.items()}),
     )
+
+
+def _as_read(car: Car, late_s: Mapping[str, float]) -> Car:
+    """The car with the delays at which sensors were read, in the time of the steering."""
+    zero_s, sheets = late_s.get("steering", 0.0), {}
+    for name, late in late_s.items():
+        sheet = getattr(car.sensors, name)
+        sheets[name] = replace(sheet, delay_s=sheet.delay_s + late - zero_s)
+    return replace(car, sensors=replace(car.sensors, **sheets))
 
 
 def likelihood(
     log: LoggedReadings,
-    car: Car,
     tyre: Tyre,
     sought: tuple[Sought, ...],
     spreads: np.ndarray,
     widths: np.ndarray,
 ) -> Likelihood:
-    """The likelihood of a log for a car whose parameters are so many spreads (p,) from its file.
+    """The likelihood of a log for parameters so many spreads (p,) from those of its car.
 
     Delays count as the whole samples next to them, which is exact: the readings move by so many.
     Differences by delays reach over `widths` (p,) samples (`widths_of`).
     """
     lanes = _Lanes.of(sought, log.time_step_s, widths)
     moved = spreads + lanes.moved
-    filtered = _Filter(log, car, car_with(car, sought, moved), tyre, len(moved))
+    filtered = _Filter(log, car_with(log.car, sought, moved), tyre, len(moved))
     totals = _Sums(lanes, round(CORRELATED_S / log.time_step_s))
     for innovation, cov in filtered.blocks():
         totals.add(innovation, cov)
@@ -166,16 +182,16 @@ def likelihood(
 
 
 def widths_of(
-    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+    log: LoggedReadings, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
 ) -> np.ndarray:
-    """Samples (p,) over which differences by delays show more than noise, 1 for all else, for the
-    car whose parameters are so many spreads (p,) from its file."""
+    """Samples (p,) over which differences by delays show more than noise, 1 for all else, for
+    parameters so many spreads (p,) from those of the log's car."""
     widths = np.ones(len(sought))
     lanes = _Lanes.of(sought, log.time_step_s, widths)
     ahead = lanes.moved[1 + len(sought) :][: len(lanes.delays)]
     each = [way * width * ahead for width in _WIDTHS for way in (1, -1)]
     moved = spreads + np.concatenate([lanes.moved[:1], *each])
-    values = values_at(log, car, tyre, sought, moved)
+    values = values_at(log, tyre, sought, moved)
     pairs = values[1:].reshape(len(_WIDTHS), 2, len(lanes.delays))
     enough = pairs.mean(axis=1) - values[0] > _RISE
     enough[-1] = True
@@ -184,10 +200,10 @@ def widths_of(
 
 
 def values_at(
-    log: LoggedReadings, car: Car, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
+    log: LoggedReadings, tyre: Tyre, sought: tuple[Sought, ...], spreads: np.ndarray
 ) -> np.ndarray:
     """The negative logarithm of the likelihood (lanes,) of cars so many spreads (lanes, p) away."""
-    filtered = _Filter(log, car, car_with(car, sought, spreads), tyre, len(spreads))
+    filtered = _Filter(log, car_with(log.car, sought, spreads), tyre, len(spreads))
     total = np.zeros(len(spreads))
     for innovation, cov in filtered.blocks():
         total += _terms(*_filled(innovation, cov))[0].sum(axis=0)
@@ -195,13 +211,10 @@ def values_at(
 
 
 def judged(
-    log: LoggedReadings, before: Car, lanes: Car, tyre: Tyre, count: int
+    log: LoggedReadings, lanes: Car, tyre: Tyre, count: int
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Innovations (B, lanes, m) of a car of lanes, and their covariances, block by block.
-
-    `before` is the car with which the log was read.
-    """
-    return _Filter(log, before, lanes, tyre, count).blocks()
+    """Innovations (B, lanes, m) of a car of lanes, and their covariances, block by block."""
+    return _Filter(log, lanes, tyre, count).blocks()
 
 
 def squared(innovation: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -315,11 +328,8 @@ def _scatter(scores: np.ndarray, lags: int) -> np.ndarray:
 class _Filter:
     """The filter of many lanes of cars over one log."""
 
-    def __init__(
-        self, log: LoggedReadings, before: Car, lanes: Car, tyre: Tyre, count: int
-    ) -> None:
+    def __init__(self, log: LoggedReadings, lanes: Car, tyre: Tyre, count: int) -> None:
         self._log, self._count, self._sheets = log, count, lanes.sensors
-        self._before = before.sensors
         track = SingleTrack(lanes, axles_of(lanes), tyre, log.time_step_s)
         self._model = DrivenCar(track, positioned=log.positioned)
         self._states = len(log.start.mean)
@@ -331,7 +341,7 @@ class _Filter:
         measured = [place for place, name in every if log.positioned or name != "position"]
         self._places = [measured.index(channel) for channel in log.channels]
         # The log was read with the ratio of the file.
-        self._gain = lanes.steering_ratio / before.steering_ratio
+        self._gain = lanes.steering_ratio / log.car.steering_ratio
         sheets = [getattr(lanes.sensors, name) for name in log.sensors]
         noise = np.stack([np.broadcast_to(sheet.noise, count) for sheet in sheets], axis=-1)
         self._reading_cov = np.square(noise)[..., None] * np.eye(len(sheets))
@@ -363,11 +373,11 @@ class _Filter:
             yield _stacked(kept)
 
     def _readings(self) -> tuple[np.ndarray, np.ndarray]:
-        """The readings (steps, lanes, m), moved by the delays of each lane beyond the file's, and
+        """The readings (steps, lanes, m), moved by the delays of each lane beyond the car's, and
         which ones count: the same in all lanes, or a delay would choose what it is judged by."""
         log, columns, counted = self._log, [], []
         for name, logged in zip(log.sensors, log.readings.T, strict=True):
-            delays = getattr(self._sheets, name).delay_s - getattr(self._before, name).delay_s
+            delays = getattr(self._sheets, name).delay_s - getattr(log.car.sensors, name).delay_s
             delays = np.broadcast_to(delays, self._count)
             samples, lanes = np.unique(delays / log.time_step_s, return_inverse=True)
             moved = [earlier(logged, value) for value in samples]

@@ -35,16 +35,13 @@ class SlipClaim(NamedTuple):
     nis: float
 
 
-def slip_claim(
-    log: LoggedReadings, before: Car, car: Car, tyre: Tyre, least_rad: float
-) -> SlipClaim:
+def slip_claim(log: LoggedReadings, car: Car, tyre: Tyre, least_rad: float) -> SlipClaim:
     """Judge a car by the side slip of a log.
 
     The factor is that with which ANEES is 1, where the interval of ANEES lies above 1.
 
     Args:
-        log: with side slip, read with the car `before`.
-        before: the car of the file.
+        log: with side slip.
         car: as the fit found it; the noise of its slip sensor is that of the side slip.
         tyre: law of the lateral force.
         least_rad: least process noise of the written car.
@@ -55,7 +52,7 @@ def slip_claim(
     lanes = replace(car, sensors=deaf, process_noise=noises)
     of_slip = np.array([name == "side_slip" for name in log.sensors])
     squares, totals, freedoms = [], np.zeros(count), 0
-    for innovation, cov in judged(log, before, lanes, tyre, count):
+    for innovation, cov in judged(log, lanes, tyre, count):
         claimed = np.diagonal(cov, axis1=-2, axis2=-1) - _UNHEARD_RAD**2 + sheet.noise**2
         each = np.square(innovation[..., of_slip]) / claimed[..., of_slip]
         squares.append(each[np.isfinite(each).all(axis=(1, 2))].mean(axis=-1))

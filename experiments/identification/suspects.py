@@ -6,6 +6,7 @@ inequality of information). Gains of one parameter are chi-square with one degre
 two if the file is right (Wilks 1938, The large-sample distribution of the likelihood ratio).
 """
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -77,17 +78,15 @@ class _Along(NamedTuple):
 
 
 def suspect(log: LoggedReadings, car: Car, tyre: Tyre, every: tuple[Sought, ...]) -> Suspect | None:
-    """The parameter with the largest gain; None where no gain is beyond chance.
+    """The parameter of a car's file with the largest gain; None where no gain is beyond chance.
 
     Chance is `FALSE_ALARMS` over the number of parameters (Bonferroni).
     """
-    from scipy.stats import chi2
-
     if log.counted.sum() < LEAST_COUNTED:
         return None
     samples = np.array([log.time_step_s / one.spread if one.is_delay else 0.0 for one in every])
     zero = np.zeros(len(every))
-    here = likelihood(log, car, tyre, every, zero, np.ones(len(every)))
+    here = likelihood(log, tyre, every, zero, np.ones(len(every)))
     bends = np.where(here.bends > 0, here.bends, np.diagonal(here.information))
     newton = np.clip(-here.gradient / (bends + 1), -2.0, 2.0)
     along = [_Along(np.zeros(1), np.array([here.value])) for _ in every]
@@ -98,7 +97,7 @@ def suspect(log: LoggedReadings, car: Car, tyre: Tyre, every: tuple[Sought, ...]
         for lane, (place, spread) in enumerate(pairs):
             step = samples[place]
             moved[lane, place] = step * round(spread / step) if step else spread
-        found = values_at(log, car, tyre, every, moved) + 0.5 * np.square(moved).sum(axis=1)
+        found = values_at(log, tyre, every, moved) + 0.5 * np.square(moved).sum(axis=1)
         for place in tried:
             lanes = [lane for lane, pair in enumerate(pairs) if pair[0] == place]
             along[place] = along[place].with_more(moved[lanes, place], found[lanes])
@@ -110,13 +109,14 @@ def suspect(log: LoggedReadings, car: Car, tyre: Tyre, every: tuple[Sought, ...]
         look({place: along[place].refining() for place in most})
     gains = [here.value - np.nanmin(one.values) for one in along]
     place = int(np.argmax(gains))
-    if 2 * gains[place] < chi2.isf(FALSE_ALARMS / len(every), 1):
+    if 2 * gains[place] < NormalDist().inv_cdf(FALSE_ALARMS / len(every) / 2) ** 2:
         return None
-    return _suspect(every[place], car, along[place], gains[place])
+    before, read = (value_at(one, every[place].path) for one in (car, log.car))
+    return _suspect(every[place], before, read, along[place], gains[place])
 
 
-def _suspect(one: Sought, car: Car, along: _Along, gain: float) -> Suspect:
-    before, (at, bend) = value_at(car, one.path), along.parabola()
+def _suspect(one: Sought, before: float, read: float, along: _Along, gain: float) -> Suspect:
+    at, bend = along.parabola()
     half = NORMAL_95 / np.sqrt(bend) if bend else np.inf
-    low, value, high = (float(one.value(before, at + by)) for by in (-half, 0.0, half))
+    low, value, high = (float(one.value(read, at + by)) for by in (-half, 0.0, half))
     return Suspect(one, before, value, low, high, float(gain))

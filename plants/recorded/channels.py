@@ -68,13 +68,27 @@ def channel_of(stamps_s: np.ndarray, values: np.ndarray) -> ChannelReadings:
     return ChannelReadings(stamps_s, values)
 
 
-def grid_over(channels: Mapping[str, ChannelReadings], time_step_s: float) -> SamplingInstants:
-    """Return the instants from the first reading of all channels to the last."""
-    read = [channel.stamps_s for channel in channels.values() if len(channel.values)]
-    start_s, end_s = min(stamps[0] for stamps in read), max(stamps[-1] for stamps in read)
+def grid_over(
+    channels: Mapping[str, ChannelReadings], time_step_s: float, through: str | None = None
+) -> SamplingInstants:
+    """Return the instants from the first reading of all channels to the last.
+
+    One of them is the first reading of the channel `through`, or of all channels.
+    """
+    read = {name: one.stamps_s for name, one in channels.items() if len(one.values)}
+    start_s, end_s = min(one[0] for one in read.values()), max(one[-1] for one in read.values())
+    if through in read:
+        at_s = read[through][0]
+        start_s = at_s + time_step_s * _nearest(start_s - at_s, time_step_s)
     return SamplingInstants(
         float(start_s), time_step_s, _nearest(end_s - start_s, time_step_s).item() + 1
     )
+
+
+def lateness_s(channel: ChannelReadings, grid: SamplingInstants) -> float:
+    """Return by how much readings come after the instants nearest to them, on average."""
+    since_s = channel.stamps_s - grid.start_s
+    return float(np.mean(since_s - grid.time_step_s * _nearest(since_s, grid.time_step_s)))
 
 
 def readings_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.ndarray:
@@ -91,7 +105,7 @@ def readings_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.nda
 
 
 def _nearest(since_start_s: np.ndarray, time_step_s: float) -> np.ndarray:
-    return np.floor(since_start_s / time_step_s + 0.5).astype(int)
+    return np.floor(since_start_s / time_step_s + 0.5 + _ROUNDING).astype(int)
 
 
 def mean_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.ndarray:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, grid_over
 from concord.plants.vehicle.drive_log import POSITION_CHANNELS
 from concord.plants.vehicle.parameters import Car, SensorSheets
 
@@ -62,6 +62,14 @@ def stamped(
             readings._replace(stamps_s=readings.stamps_s - delay_s) if delay_s else readings
         )
     return found
+
+
+def steps_over(channels: Mapping[str, ChannelReadings], time_step_s: float) -> SamplingInstants:
+    """Return the steps of a run on stamped channels.
+
+    They count from the steering, as delays do: the delay of a sensor moves no reading of another.
+    """
+    return grid_over(channels, time_step_s, "steering")
 
 
 def _slip_at_centre(

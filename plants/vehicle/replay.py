@@ -6,11 +6,10 @@ import numpy as np
 
 from concord.plants.recorded.channels import (
     ChannelReadings,
-    grid_over,
     mean_by_step,
     readings_by_step,
 )
-from concord.plants.vehicle.corrections import channels_of_nodes, corrected
+from concord.plants.vehicle.corrections import channels_of_nodes, corrected, steps_over
 from concord.plants.vehicle.network import (
     CHANNELS,
     ERRORS,
@@ -36,7 +35,7 @@ def replayed(channels: Mapping[str, ChannelReadings], car: Car, time_step_s: flo
         time_step_s: between the steps.
     """
     channels = corrected(channels, car.sensors)
-    grid = grid_over(channels, time_step_s)
+    grid = steps_over(channels, time_step_s)
     placed = {
         (node, place): readings_by_step(channels[name], grid)
         for node, names in enumerate(channels_of_nodes(car))

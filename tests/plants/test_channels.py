@@ -13,9 +13,11 @@ from concord.plants.recorded.channels import (
     channel_of,
     grid_over,
     interpolated,
+    lateness_s,
     mean_by_step,
     readings_by_step,
 )
+from concord.plants.vehicle.corrections import steps_over
 
 STAMPS_US = st.lists(st.integers(0, 1_000_000), min_size=1, max_size=60, unique=True)
 
@@ -65,6 +67,23 @@ def test_readings_of_one_step_stand_side_by_side_and_their_mean_is_one():
     placed = readings_by_step(channel, grid)
     np.testing.assert_array_equal(placed, [[1, nan], [2, 4], [nan, nan], [8, nan]])
     np.testing.assert_array_equal(mean_by_step(channel, grid), [1, 3, nan, 8])
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.0012, 0.0025, 0.0173, 0.0176])
+def test_the_delay_of_a_sensor_moves_no_reading_of_another(late_s: float):
+    """A wheel that was 17.3 ms late put the side slip to another step of the steering: `identify`
+    found a delay of 14.4 ms, and the run took it for 10 ms."""
+    stamps_s = 0.005 * np.arange(40)
+    every = {"steering": 0.0, "side_slip": 0.0144, "wheel_speed": late_s}
+    channels = {name: ChannelReadings(stamps_s - by, stamps_s) for name, by in every.items()}
+    grid = steps_over(channels, 0.005)
+    steering, slip, wheel = (readings_by_step(one, grid)[:, 0] for one in channels.values())
+    both = np.isfinite(steering) & np.isfinite(slip)
+    np.testing.assert_allclose((slip - steering)[both], 0.015)
+    as_read_s = 0.0144 + lateness_s(channels["side_slip"], grid)
+    assert as_read_s == pytest.approx(0.015)
+    both = np.isfinite(steering) & np.isfinite(wheel)
+    assert len(set((wheel - steering)[both].round(6))) == 1, "each step has one reading"
 
 
 def test_a_gap_is_judged_by_the_spacing_of_the_channel():

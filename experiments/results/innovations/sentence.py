@@ -78,7 +78,8 @@ def innovation_verdict(
     if diagnosis.cause is not Cause.NONE:
         return _beside_errors(*_of_readings(scenario, diagnosis, named), anees, slip)
     lead, said = _of_estimates(scenario, nis, anees, suspicion)
-    said += f"; yet {named}" if named else ""
+    if named:
+        lead, said = "undecided" if lead == "consistent" else lead, f"{said}; yet {named}"
     if lead == "underconfident":  # the fault of the rule, not of the filter that hears everything
         return f"{lead}: {said}"
     return _beside_errors(lead, said, anees, slip)

@@ -16,8 +16,8 @@ from concord.experiments.identification.without_slip import is_logged
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.run_verdict import anees_interval, beyond
 from concord.filters.gaussian import Gaussian
-from concord.plants.recorded.channels import ChannelReadings, grid_over
-from concord.plants.vehicle.corrections import corrected, with_true_wheels
+from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.vehicle.corrections import corrected, steps_over, with_true_wheels
 from concord.plants.vehicle.drive_log import even_drive, read_log, speeds_in
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.network import SIDE_SLIP
@@ -67,7 +67,7 @@ def slip_evidence(
         error = belief.mean - drive.truth[: len(counted)]
         squares = scored_nees(setup.scenario, error, belief.cov)
     else:
-        grid = grid_over(corrected(channels, car.sensors), setup.time_step_s)
+        grid = steps_over(corrected(channels, car.sensors), setup.time_step_s)
         times_s = grid.instants_s[: len(counted)]
         start_s = times_s[np.argmax(counted)]
         reference = _reference(_cut(channels, start_s, start_s + longest_s), car)

@@ -3,6 +3,7 @@
 Five logs of 8 s of the model itself. Each file has the truth but for one value.
 """
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -129,10 +130,14 @@ def test_lanes_of_cars_are_likely_as_each_car_alone():
 
     spreads = 0.1 * np.random.default_rng(1).standard_normal((3, len(every)))
     spreads[:, [one.is_delay for one in every]] = 0.0
-    together = values_at(log, TRUE, tanh_tyre, every, spreads)
+    together = values_at(log, tanh_tyre, every, spreads)
     alone = [
         likelihood(
-            log, car_with(TRUE, every, one), tanh_tyre, every, 0 * one, np.ones(len(every))
+            dataclasses.replace(log, car=car_with(TRUE, every, one)),
+            tanh_tyre,
+            every,
+            0 * one,
+            np.ones(len(every)),
         ).value
         for one in spreads
     ]

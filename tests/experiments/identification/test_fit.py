@@ -151,11 +151,11 @@ def test_the_gradient_is_that_of_the_likelihood():
     log = logged_readings(channels_of(drive), FILE, 0.005, 5.0)
     start = np.where([one.is_delay for one in sought], 0.0, 0.1)
     widths = np.where([one.is_delay for one in sought], 2.0, 1.0)
-    here = likelihood(log, FILE, tanh_tyre, sought, start, widths)
+    here = likelihood(log, tanh_tyre, sought, start, widths)
     for place, one in enumerate(sought):
         little = 0.2 if one.is_delay else 1e-3  # two samples of 5 ms are a fifth of the spread
         moved = little * np.eye(len(sought))[place]
-        sides = values_at(log, FILE, tanh_tyre, sought, start + np.stack([moved, -moved]))
+        sides = values_at(log, tanh_tyre, sought, start + np.stack([moved, -moved]))
         slope = (sides[0] - sides[1]) / (2 * little)
         assert here.gradient[place] == pytest.approx(slope, rel=1e-2, abs=0.5), one.name
 
@@ -167,7 +167,7 @@ def test_a_delay_that_shows_little_is_judged_over_more_samples():
     every = sought_of(channels, TRUE, friction=False, ratio=False)
     sought = tuple(one for one in every if one.is_delay)
     log = logged_readings(channels, TRUE, 0.005, 5.0)
-    widths = widths_of(log, TRUE, tanh_tyre, sought, np.zeros(len(sought)))
+    widths = widths_of(log, tanh_tyre, sought, np.zeros(len(sought)))
     found = dict(zip([one.name for one in sought], widths, strict=True))
     assert found["delay of wheel speed"] > 2
     assert found["delay of inertial unit"] == 1

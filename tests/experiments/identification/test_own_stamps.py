@@ -85,7 +85,7 @@ def test_scatter_of_scores_is_the_information_unless_readings_hang_together():
     for name, added in (("right", 0.0), ("coloured", 0.15 * coloured / np.sqrt(10))):
         log = channels_of(drive._replace(lateral_acceleration_m_s2=exact + added))
         readings = logged_readings(log, TRUE, 0.005, 5.0)
-        here = likelihood(readings, TRUE, tanh_tyre, sought, np.zeros(2), np.ones(2))
+        here = likelihood(readings, tanh_tyre, sought, np.zeros(2), np.ones(2))
         ratios[name] = np.diagonal(here.scatter) / np.diagonal(here.information)
     assert (np.abs(np.log(ratios["right"])) < np.log(2)).all(), ratios
     assert ratios["coloured"][0] > 3 * ratios["right"][0]
