@@ -15,7 +15,7 @@ from rich.table import Table
 from concord.experiments.identification.fit import CarFit, FoundParameter, fit
 from concord.experiments.identification.slip_reference import slip_reference
 from concord.experiments.identification.sought import value_at
-from concord.experiments.identification.without_slip import tells_slip
+from concord.experiments.identification.without_slip import HIDDEN, tells_slip
 from concord.experiments.places import make_folder
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.user_errors import user_errors
@@ -98,7 +98,7 @@ class Findings(msgspec.Struct, frozen=True):
 
     `nis_before` and `nis_after` are those of the filter that hears everything, 1 if all is right.
     Without a logged side slip the fit hears a reference, which is uncertain by
-    `side_slip_reference_rad`, None where there is none. `side_slip_anees` is that of the filter
+    `side_slip_reference_rad`, None where there is none. It alone tells `told_by_reference`. `side_slip_anees` is that of the filter
     that hears no side slip, with the process noise that was found; the written car has
     `side_slip_factor` times as much, and its other sensors the NIS `nis_written`.
     """
@@ -121,6 +121,7 @@ class Findings(msgspec.Struct, frozen=True):
     nis_interval: tuple[float, float] | None
     converged: bool
     side_slip_reference_rad: float | None
+    told_by_reference: list[str]
     side_slip_anees: float | None
     side_slip_factor: float | None
     nis_written: float | None
@@ -259,10 +260,17 @@ def _findings(found: Identified, before: Car, fitted: CarFit | None) -> Findings
         nis_interval=None if fitted is None else _nis_interval(fitted),
         converged=fitted is None or fitted.converged,
         side_slip_reference_rad=None if fitted is None else fitted.reference_rad,
+        told_by_reference=[] if fitted is None else _told_by_reference(fitted),
         side_slip_anees=None if claim is None else claim.anees.value,
         side_slip_factor=None if claim is None else claim.factor,
         nis_written=None if claim is None else claim.nis,
     )
+
+
+def _told_by_reference(fitted: CarFit) -> list[str]:
+    if fitted.reference_rad is None:
+        return []
+    return [one.sought.name for one in fitted.found if one.seen and one.sought.path in HIDDEN]
 
 
 def _nis_interval(fitted: CarFit) -> tuple[float, float]:
@@ -364,7 +372,10 @@ def _of_side_slip(f: Findings) -> Iterator[str]:
     if f.side_slip_reference_rad is not None:
         yield (
             "No side slip is logged. The fit took the one to which yaw rate and lateral "
-            f"acceleration add up, within {1e3 * f.side_slip_reference_rad:.2g} mrad."
+            f"acceleration add up, within {1e3 * f.side_slip_reference_rad:.2g} mrad. Only "
+            f"this side slip tells: {', '.join(f.told_by_reference)}. Their intervals assume a "
+            "rigid body, with the accelerometer within 0.2 m of its place in the file; elsewhere "
+            "they miss."
         )
     if f.side_slip_anees is None:
         yield (

@@ -116,6 +116,15 @@ def test_the_last_line_does_not_clear_what_the_first_accuses():
     assert consistency_in_words(Interval(1.05, 1.01, 1.09)).startswith("neither")
 
 
+def test_a_run_in_which_a_value_is_named_is_not_called_consistent():
+    """A verdict said "consistent", and named a delay whose interval excluded that of the file."""
+    named = "of single values of car.toml, delay of side slip explains most: 0.0192 s"
+    given = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, FITTING, FITTING
+    said = innovation_verdict(*given, named)
+    assert said.startswith("undecided: models and sensors fit the readings (NIS 1")
+    assert said.endswith(f"; yet {named}")
+
+
 TOO_SMALL = OFF._replace(nis=Interval(0.5, 0.4, 0.6), spread=0.5)
 UNDER = Interval(0.5, 0.4, 0.6)
 OVER = Interval(2.9, 2.3, 3.7)
