@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from concord.experiments.identification.scatter import scatter_of
 from concord.experiments.identification.sought import Sought, car_with, process_noise_covs
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
@@ -68,8 +69,8 @@ _COURSE = _SENSORS.index("course")
 class Likelihood(NamedTuple):
     """Negative logarithm of the likelihood; gradient (p,) and information (p, p) in spreads.
 
-    `scatter` (p, p) is the covariance of the gradient as the scores of the samples have it.
-    Information is equal to it where the model is right.
+    `scatter` (p, p) is the covariance of the gradient as the scores of the samples have it, and
+    more, as they are few. Information is about equal to it where the model is right.
 
     The information of a delay is that of a smooth curve through the readings; the second
     derivatives by delays, `bends` (p,), have their roughness too, and are 0 for all else. `nis` is
@@ -306,23 +307,10 @@ class _Sums:
             scores.sum(axis=0),
             self._information,
             bends,
-            _scatter(scores, self._correlated),
+            scatter_of(scores, self._correlated),
             self._squares / self._freedoms,
             self._freedoms,
         )
-
-
-def _scatter(scores: np.ndarray, lags: int) -> np.ndarray:
-    """The covariance (p, p) of the sum of scores (n, p) that correlate over so many samples.
-
-    Source: Newey and West (1987), A simple, positive semi-definite, heteroskedasticity and
-    autocorrelation consistent covariance matrix.
-    """
-    total = scores.T @ scores
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        product = scores[:-lag].T @ scores[lag:]
-        total += (1 - lag / (lags + 1)) * (product + product.T)
-    return total
 
 
 class _Filter:
