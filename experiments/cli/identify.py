@@ -98,9 +98,10 @@ class Findings(msgspec.Struct, frozen=True):
 
     `nis_before` and `nis_after` are those of the filter that hears everything, 1 if all is right.
     Without a logged side slip the fit hears a reference, which is uncertain by
-    `side_slip_reference_rad`, None where there is none. It alone tells `told_by_reference`. `side_slip_anees` is that of the filter
-    that hears no side slip, with the process noise that was found; the written car has
-    `side_slip_factor` times as much, and its other sensors the NIS `nis_written`.
+    `side_slip_reference_rad`, None where there is none. It alone tells `told_by_reference`.
+    `side_slip_anees` is that of the filter that hears no side slip, with the process noise that was
+    found; the written car has `side_slip_factor` times as much, and its other sensors the NIS
+    `nis_written`.
     """
 
     car: str
