@@ -1,5 +1,7 @@
 """Scenarios composed of typed values: flat names in, typed values out, and what is refused."""
 
+from typing import get_args
+
 import msgspec
 import pytest
 from hypothesis import given
@@ -12,7 +14,15 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import assigned, check_ranges, flat
 from concord.scenarios.types.buses import DynamicSchedule, FlexRay, Ideal
 from concord.scenarios.types.declarations import every_option
-from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
+from concord.scenarios.types.option import name_of
+from concord.scenarios.types.rules import (
+    AverageRule,
+    CovarianceIntersection,
+    MeasurementFlooding,
+    RuleChoice,
+    TrimmedCovarianceIntersection,
+    UserRule,
+)
 
 USUAL = definition_named("oscillator").defaults
 EACH_KIND = pytest.mark.parametrize("name", definitions())
@@ -86,6 +96,12 @@ def test_values_are_taken_as_names_are():
     assert isinstance(USUAL.rule, CovarianceIntersection)
 
 
+FADES = AverageRule, TrimmedCovarianceIntersection
+FADING = ", ".join(
+    name_of(one) for one in get_args(RuleChoice) if issubclass(one, FADES) and one is not UserRule
+)
+
+
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
@@ -93,14 +109,14 @@ def test_values_are_taken_as_names_are():
             {"window_steps": 8},
             "--window-steps 8: belongs to --rule labelled or labelled-ellipsoid; leave it out",
         ),
-        ({"rule": "hcmci", "decay": 0.3}, "--hold decayed of --rule ci, sharp-ci, trimmed-ci"),
+        ({"rule": "hcmci", "decay": 0.3}, f"--hold decayed of --rule {FADING} or FILE"),
         ({"hold": "drop", "decay": 0.3}, "--decay 0.3: belongs to --hold decayed; leave"),
         ({"arbiter": "wtod"}, "belongs to --schedule hybrid, hybrid-leaves or dynamic"),
         ({"bus": "ideal", "cluster": "audi"}, "--cluster audi: belongs to --bus flexray"),
         ({"schedule": "full", "occupancy": 0.5}, "--occupancy 0.5: belongs to --schedule round"),
         (
             {"rule": "trimmed-ci", "determinant_weights": False},
-            "belongs to --rule ci, sharp-ci, wac or FILE",
+            f"belongs to --rule {FADING.replace('trimmed-ci, ', '')} or FILE",
         ),
         ({"rule": "labelled", "latch_delay_us": 3.0}, "belongs to --relay;"),
         ({"nodez": 3}, "unknown option 'nodez': did you mean 'nodes'"),
