@@ -33,14 +33,8 @@ from concord.experiments.results.smoothing import (
     smoothing_line,
     write_smoothed,
 )
-from concord.experiments.results.summary import (
-    Figures,
-    details,
-    lines,
-    opening,
-    summarise,
-    table,
-)
+from concord.experiments.results.summary import Figures, summarise
+from concord.experiments.results.summary_table import details, lines, opening, table
 from concord.experiments.results.timing_figures import TimingFigures, figures_of
 from concord.experiments.results.trace import Trace
 from concord.experiments.user_errors import user_errors

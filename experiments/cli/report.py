@@ -156,7 +156,8 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     from concord.experiments.results.folder import BATCHED, read_description
     from concord.experiments.results.run_results import completed
-    from concord.experiments.results.summary import lines, summarise
+    from concord.experiments.results.summary import summarise
+    from concord.experiments.results.summary_table import lines
 
     description = read_description(folder)
     if description.driver == BATCHED:

@@ -7,7 +7,8 @@ import msgspec
 import pytest
 
 from concord.experiments.results.alternative import in_words, labelled_beside
-from concord.experiments.results.summary import Figures, opening, summarise
+from concord.experiments.results.summary import Figures, summarise
+from concord.experiments.results.summary_table import opening
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named

@@ -20,7 +20,8 @@ from concord.experiments.results.innovations.sentence import innovation_verdict
 from concord.experiments.results.innovations.slip_evidence import SlipEvidence
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.run_verdict import consistency_in_words
-from concord.experiments.results.summary import Figures, lines, summarise
+from concord.experiments.results.summary import Figures, summarise
+from concord.experiments.results.summary_table import lines
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.setup import Setup

@@ -5,7 +5,8 @@ import pytest
 
 from concord.experiments.results.record_spread import NEVER, RecordSpread, figures_of
 from concord.experiments.results.record_spread import lines as words_of
-from concord.experiments.results.summary import details, summarise
+from concord.experiments.results.summary import summarise
+from concord.experiments.results.summary_table import details
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.runtime import in_process

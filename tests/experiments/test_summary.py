@@ -11,7 +11,8 @@ import xarray
 from rich.console import Console
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.summary import Figures, lines, opening, summarise, table
+from concord.experiments.results.summary import Figures, summarise
+from concord.experiments.results.summary_table import lines, opening, table
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import read_recording

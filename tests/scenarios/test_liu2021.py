@@ -8,7 +8,8 @@ import pytest
 
 from concord.bus.measurement_bus import losing_bids_of
 from concord.experiments.agreement import near_differences
-from concord.experiments.results.summary import opening, summarise
+from concord.experiments.results.summary import summarise
+from concord.experiments.results.summary_table import opening
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
