@@ -82,7 +82,7 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
             return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, 0.4 * height - _MARGIN)
         columns = dock_columns(client, width, upper, lower)
         canvas = max(width - columns.left - columns.right - _DOCK, 360)
-        bus_height = _bus_height(canvas)
+        bus_height = round(canvas * 0.23) + 112
         place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
         size = columns.zoom
         corner_panel = place_of(client, zoom_panel)
@@ -131,8 +131,3 @@ def place_of(client: viser.ClientHandle, panel: viser.PanelHandle) -> viser.Main
     handle = client.gui.main_panel
     handle._placement_uuid = panel._placement_uuid
     return handle
-
-
-def _bus_height(canvas: int) -> int:
-    """The drawings keep their shapes; with them are a legend and the slider."""
-    return round(canvas * 0.23) + 112

@@ -110,7 +110,7 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
     if definition_of(scenario).delivery is not None:
         # The bus's deliveries at the start do not show which states a node's sensors see.
         return
-    growth = _spectral_radius(_transition_matrix(setup))
+    growth = float(np.abs(np.linalg.eigvals(_transition_matrix(setup))).max())
     blind = _blind(setup)
     vote = vote_of(_weights(setup), scenario.rounds, blind)
     if growth**2 * vote <= 1 + _MARGIN:
@@ -317,7 +317,3 @@ def _transition_matrix(setup: Setup) -> np.ndarray:
     ahead = model.transition(mean + np.diag(step), None, 0)
     behind = model.transition(mean - np.diag(step), None, 0)
     return ((ahead - behind) / (2 * step)[:, None]).T
-
-
-def _spectral_radius(matrix: np.ndarray) -> float:
-    return float(np.abs(np.linalg.eigvals(matrix)).max())

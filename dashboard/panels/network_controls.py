@@ -76,11 +76,6 @@ def _settings_of(scenario: Scenario) -> dict[str, Any]:
     return {
         "rounds": scenario.rounds,
         "rule": scenario.rule.name,
-        "occupancy": _on_slider(occupancy_of(schedule)),
+        "occupancy": max(1, round(occupancy_of(schedule) * 20)) / 20,
         "arbiter": arbiter_of(schedule),
     }
-
-
-def _on_slider(occupancy: float) -> float:
-    """Return the place of the slider that is nearest to an occupancy."""
-    return max(1, round(occupancy * 20)) / 20

@@ -80,7 +80,7 @@ class Scene:
     def set_theme(self, theme: Theme) -> None:
         """Repaint what no frame repaints."""
         self.theme = theme
-        cell = _round_cell(self._stage)
+        cell = cell_m(self._stage) * self._stage.scale if is_to_scale(self._stage) else 2.0
         self._scene.add_grid(
             "/grid",
             width=3 * SCENE_WIDTH,
@@ -240,8 +240,3 @@ def cell_m(stage: Stage) -> float:
 def is_to_scale(stage: Stage) -> bool:
     """Say whether the scene is a map."""
     return stage.picture in (PlantDrawing.PLANE, PlantDrawing.SWARM)
-
-
-def _round_cell(stage: Stage) -> float:
-    """Return the width of a cell of the grid in units of the scene."""
-    return cell_m(stage) * stage.scale if is_to_scale(stage) else 2.0

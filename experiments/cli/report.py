@@ -51,7 +51,9 @@ def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
     use_house_style()
     with user_errors():
         result = result_of(options.result)
-        out = options.out or _beside(result)
+        out = options.out or (
+            result / "report.html" if result.is_dir() else result.with_suffix(".html")
+        )
         if out.suffix not in (".html", ".md"):
             raise ValueError(f"--out {out}: must end in .html or .md")
         title, parts = page_of(result)
@@ -217,7 +219,3 @@ def _interval(interval: Interval) -> str:
         return "-"
     text = f"{value:.4g}"
     return text if np.isnan(low) else f"{text} ({low:.3g}..{high:.3g})"
-
-
-def _beside(result: Path) -> Path:
-    return result / "report.html" if result.is_dir() else result.with_suffix(".html")

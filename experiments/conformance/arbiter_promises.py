@@ -9,7 +9,7 @@ import numpy as np
 
 from concord.bus.arbitration import NO_BID, Arbiter, ArbiterState, award, begin_arbitration
 from concord.experiments.conformance.promise import Promise, PromiseResult, raised
-from concord.experiments.conformance.rule_promises import check_agreement
+from concord.experiments.conformance.rule_promises import AGREEMENT
 from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
@@ -149,10 +149,6 @@ def _serves_all(checked: CheckedArbiter, cases: Sequence[int]) -> PromiseResult:
     return PromiseResult("note", f"nodes {never} never win {_CONTESTS} contests in which all bid 1")
 
 
-def _drivers_agree(checked: CheckedArbiter, cases: Sequence[int]) -> PromiseResult:
-    return check_agreement(checked.scenario)
-
-
 ARBITER_PROMISES: tuple[Promise[CheckedArbiter], ...] = (
     Promise("slots", "slots go to those who ask", partial(_check, _slots_go_to_those_who_ask)),
     Promise("lanes", "each run has its own result", partial(_check, _each_run_has_its_own_result)),
@@ -163,5 +159,5 @@ ARBITER_PROMISES: tuple[Promise[CheckedArbiter], ...] = (
     ),
     Promise("memory", "equal contests have equal winners", partial(_check, _nothing_is_remembered)),
     Promise("starvation", "who asks is served some time", _serves_all),
-    Promise("agreement", "all drivers give the same estimates", _drivers_agree),
+    AGREEMENT,
 )

@@ -10,7 +10,7 @@ import numpy as np
 from concord.experiments.conformance.filter_cases import FilterCase, draw_filter_case
 from concord.experiments.conformance.neighbourhoods import LANES, apart, at_lane
 from concord.experiments.conformance.promise import Promise, PromiseResult, raised
-from concord.experiments.conformance.rule_promises import check_agreement
+from concord.experiments.conformance.rule_promises import AGREEMENT
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
@@ -220,10 +220,6 @@ def _check(
     return PromiseResult("holds", f"{len(cases)} models")
 
 
-def _drivers_agree(checked: CheckedFilter, cases: Sequence[int]) -> PromiseResult:
-    return check_agreement(checked.scenario)
-
-
 def _promise(
     name: str, says: str, curve: float, seen: Callable[[Filter, FilterCase], str]
 ) -> Promise[CheckedFilter]:
@@ -241,5 +237,5 @@ FILTER_PROMISES: tuple[Promise[CheckedFilter], ...] = (
     _promise(_LINEAR, "linear models: the Kalman filter", 0.0, _equals_the_kalman_filter),
     _promise(_UNITS, "units of states, readings do not matter", _CURVE, _units_do_not_matter),
     _promise("memory", "equal arguments give equal bits", _CURVE, _nothing_is_remembered),
-    Promise("agreement", "all drivers give the same estimates", _drivers_agree),
+    AGREEMENT,
 )

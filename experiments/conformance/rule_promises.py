@@ -4,7 +4,7 @@ import shlex
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -170,10 +170,6 @@ def _survives_loss(rule: CheckedRule, cases: Sequence[int]) -> PromiseResult:
     return PromiseResult("holds", f"{len(cases[:3])} runs, finite beliefs")
 
 
-def _drivers_agree(rule: CheckedRule, cases: Sequence[int]) -> PromiseResult:
-    return check_agreement(rule.scenario)
-
-
 def check_agreement(scenario: Scenario) -> PromiseResult:
     """Run a scenario in every driver."""
     again = _command("agree", scenario)
@@ -219,9 +215,14 @@ def _command(command: str, scenario: Scenario) -> str:
     return shlex.join(["concord", command, "--scenario", scenario.name, *options])
 
 
+AGREEMENT: Promise[Any] = Promise(
+    "agreement",
+    "all drivers give the same estimates",
+    lambda checked, _: check_agreement(checked.scenario),
+)
 RULE_PROMISES: tuple[Promise[CheckedRule], ...] = (
     *(Promise(one.name, one.says, partial(_check_beliefs, one)) for one in BELIEF_PROMISES),
     Promise("loss", f"{_LOSS:.0%} loss leaves finite beliefs", _survives_loss),
-    Promise("agreement", "all drivers give the same estimates", _drivers_agree),
+    AGREEMENT,
     Promise("networks", "random networks break no invariant", _stands_random_networks),
 )

@@ -58,7 +58,7 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
         "error": _root(lengths, (2,)),
         "error_centralised": np.sqrt(central_lengths),
         "spread": _root(spreads, (2,)),
-        "bound": np.sqrt(np.trace(_part(frame.bound, states), axis1=-2, axis2=-1)),
+        "bound": np.sqrt(np.trace(frame.bound[..., states, :][..., states], axis1=-2, axis2=-1)),
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
     figures |= _smoothed(setup, histories, frame, counted)
@@ -200,7 +200,3 @@ def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places: dict[bytes, int] = {}
     which = np.array([places.setdefault(row, len(places)) for row in whole])
     return np.frombuffer(b"".join(places), rows.dtype).reshape(-1, rows.shape[1]), which
-
-
-def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:
-    return cov[..., states, :][..., states]

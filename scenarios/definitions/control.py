@@ -17,7 +17,7 @@ from concord.plants.control.motor import (
 )
 from concord.plants.control.pitch import pitch, pitch_controller
 from concord.plants.control.suspension import suspension, suspension_controller
-from concord.plants.linear import LinearModel, LinearPlant, LinearSensor
+from concord.plants.linear import LinearPlant
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
@@ -122,14 +122,6 @@ def check_control(scenario: Scenario) -> None:
         )
 
 
-def _model(scenario: Scenario) -> LinearModel:
-    return plant_of(scenario).model
-
-
-def _sensor(scenario: Scenario, node: int) -> LinearSensor:
-    return plant_of(scenario).sensor(node)
-
-
 def _warnings(scenario: Scenario) -> tuple[str, ...]:
     warning = plant_of(scenario).warning
     return (warning,) if warning else ()
@@ -148,8 +140,8 @@ def _definition(plant: _Plant) -> ScenarioDefinition:
         ),
         check=check_control,
         plant=plant_of,
-        model=_model,
-        sensor=_sensor,
+        model=lambda scenario: plant_of(scenario).model,
+        sensor=lambda scenario, node: plant_of(scenario).sensor(node),
         sensors=lambda scenario: plant_of(scenario).sensors,
         score=Score(
             states=(plant.scored,),

@@ -9,7 +9,7 @@ by a sixth in every step. `--noise matched` draws noise on its bound, `paper` ta
 from functools import cache
 
 from concord.plants import liu2021
-from concord.plants.bounded_network import BoundedNetwork, BoundedNetworkModel, OutputSensor
+from concord.plants.bounded_network import BoundedNetwork
 from concord.scenarios.definitions.control import OPEN, check_control, controlled
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
@@ -29,14 +29,6 @@ def _plant(scenario: Scenario) -> BoundedNetwork:
     return _made(scenario.nodes, controlled(scenario).noise)
 
 
-def _model(scenario: Scenario) -> BoundedNetworkModel:
-    return _plant(scenario).model
-
-
-def _sensor(scenario: Scenario, node: int) -> OutputSensor:
-    return _plant(scenario).sensor(node)
-
-
 def _controller(scenario: Scenario) -> liu2021.Stabiliser | None:
     return None if controlled(scenario).control == OPEN else liu2021.Stabiliser()
 
@@ -50,8 +42,8 @@ DEFINITION = ScenarioDefinition(
     ),
     check=check_control,
     plant=_plant,
-    model=_model,
-    sensor=_sensor,
+    model=lambda scenario: _plant(scenario).model,
+    sensor=lambda scenario, node: _plant(scenario).sensor(node),
     score=Score(states=(0, 1, 2, 3), unit="1", nees_states=(0, 1, 2, 3), first_step=20),
     controller=_controller,
 )

@@ -48,10 +48,6 @@ def plant_on_bus() -> PlantOnBus:
     )
 
 
-def _plant_of(scenario: Scenario) -> PlantOnBus:
-    return plant_on_bus()
-
-
 DEFINITION = measured_definition(
     Scenario(
         plant=StochasticReceiver(),
@@ -62,6 +58,6 @@ DEFINITION = measured_definition(
         filter=RecommendedFilter(),
         steps=101,
     ),
-    _plant_of,
+    lambda _: plant_on_bus(),
     Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
 )

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from concord.plants.oscillator import Oscillation, Oscillator, ScalarSensor
+from concord.plants.oscillator import Oscillation, Oscillator
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
@@ -18,24 +18,13 @@ def _plant(nodes: int) -> Oscillator:
     return Oscillator(nodes)
 
 
-def _model(_: Scenario) -> Oscillation:
-    return Oscillation()
-
-
-def _sensor(scenario: Scenario, node: int) -> ScalarSensor:
-    return _plant(scenario.nodes).sensor(node)
-
-
-def _check(_: Scenario) -> None:
-    """Any number of nodes will do."""
-
-
 DEFINITION = ScenarioDefinition(
     defaults=DEFAULTS,
-    check=_check,
+    # Any number of nodes will do.
+    check=lambda _: None,
     plant=lambda scenario: _plant(scenario.nodes),
-    model=_model,
-    sensor=_sensor,
+    model=lambda _: Oscillation(),
+    sensor=lambda scenario, node: _plant(scenario.nodes).sensor(node),
     sensors=lambda scenario: _plant(scenario.nodes).sensors,
     score=Score(states=(0,), unit="m", nees_states=(0, 1), first_step=20),
 )
