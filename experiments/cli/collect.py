@@ -53,12 +53,10 @@ class FiguresForm(NamedTuple):
     verbose: bool
 
 
-@dataclass(frozen=True)
-class CollectOptions:
-    """Which run."""
+@dataclass(frozen=True, kw_only=True)
+class ResultOptions:
+    """How to show the figures of a run, and what it leaves beside its arrays."""
 
-    folder: tyro.conf.Positional[Path]
-    """Folder of a run."""
     json: bool = False
     """Print one JSON object instead of a table."""
     verbose: bool = False
@@ -69,6 +67,14 @@ class CollectOptions:
     """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
     smooth: bool = False
     """Also smooth the whole run with the readings of all sensors, into smoothed.nc."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectOptions(ResultOptions):
+    """Which run."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of a run."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:

@@ -55,11 +55,8 @@ COMMANDS = {
 }
 # Names that commands had before.
 FORMER_NAMES = {"torture": "simulation-testing"}
-# Those that have commands of their own; beside the function stands their SUMMARY.
-GROUPS = {
-    "flexray": ("flexray", "flexray_commands"),
-    "topology": ("topology", "topology_commands"),
-}
+# Those that have commands of their own; beside these stands their SUMMARY.
+GROUPS = {"flexray": ("flexray", "COMMANDS"), "topology": ("topology", "COMMANDS")}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -151,7 +148,10 @@ def _commands(asked: list[str]) -> SubcommandApp:
         return commands
     for name in [name for name in asked if name in everything] or everything:
         if name in GROUPS:
-            commands.command(_loaded(name)(), name=name, help=_summary(*GROUPS[name]))
+            group = SubcommandApp()
+            for inner, function in _loaded(name).items():
+                group.command(function, name=inner)
+            commands.command(group, name=name, help=_summary(*GROUPS[name]))
         else:
             commands.command(_loaded(name), name=name)
     return commands

@@ -1,7 +1,5 @@
 """`concord flexray`: recordings, clusters and plans of a FlexRay bus."""
 
-from tyro.extras import SubcommandApp
-
 from concord.experiments.flexray.clock_runs import clocks
 from concord.experiments.flexray.clusters import validate
 from concord.experiments.flexray.conversion import convert
@@ -12,7 +10,7 @@ from concord.experiments.flexray.slot_designs import design_slots_command
 from concord.experiments.flexray.turn_designs import design_turns_command
 
 SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
-_COMMANDS = {
+COMMANDS = {
     "decode": decode,
     "fit": fit,
     "validate": validate,
@@ -24,11 +22,3 @@ _COMMANDS = {
     "design-turns": design_turns_command,
     "convert": convert,
 }
-
-
-def flexray_commands() -> SubcommandApp:
-    """Return the commands below `concord flexray`."""
-    commands = SubcommandApp()
-    for name, command in _COMMANDS.items():
-        commands.command(command, name=name)
-    return commands

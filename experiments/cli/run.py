@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from concord.experiments.cli.collect import CaptureCycles, FiguresForm, finish
+from concord.experiments.cli.collect import FiguresForm, ResultOptions, finish
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.memory import check_address_space, check_memory
 from concord.experiments.monte_carlo.run_many import run_many
@@ -45,7 +45,7 @@ REALTIME = "realtime"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class RunOptions(ResultOptions):
     """How and where to run."""
 
     driver: Literal["in-process", "processes", "batched", "realtime"] = "in-process"
@@ -68,16 +68,6 @@ class RunOptions:
     after the run until Ctrl-C."""
     http_port: int = 8080
     """Port of the dashboard; the next free one if it is taken, any free one for 0."""
-    json: bool = False
-    """Print one JSON object instead of a table."""
-    verbose: bool = False
-    """Also print the figures of bus, records and timing."""
-    capture: CaptureCycles = "used"
-    """Cycles in bus.pcap: used (those with rounds), or all, with null frames between the steps."""
-    capture_nodes: tuple[int, ...] = ()
-    """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
-    smooth: bool = False
-    """Also smooth the whole run with the readings of all sensors, into smoothed.nc."""
 
 
 def run(

@@ -43,21 +43,27 @@ Found = TypeVar("Found", bound=Outcome)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationTestingOptions:
+class LivesOptions:
     """Which cases, and what computes them."""
 
     seeds: str = "1..100"
     """Seeds of the cases: 17, or 1..1000."""
+    workers: int | None = None
+    """Processes on this machine; one per core when left out."""
+    json: bool = False
+    """Print one JSON object instead of lines."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationTestingOptions(LivesOptions):
+    """Which cases, and what computes them."""
+
     most: int | None = None
     """Run only so many of the seeds: those whose cases together have the most pairs of faults at
     once in each phase of a node. All when left out."""
-    workers: int | None = None
-    """Processes on this machine; one per core when left out."""
     wire: str | None = None
     """Faults that no word of --changes names, each with its probability: 'vanish 0.05, garbage 0.2,
     shuffle 0.5'; drawn from the seed when left out."""
-    json: bool = False
-    """Print one JSON object instead of lines."""
 
 
 def simulation_testing(
@@ -196,18 +202,6 @@ def _failure(outcome: SimulationOutcome, fields: dict[str, Any], smaller: bool) 
         "again": replay_command(case),
         "run": run_command(case),
     }
-
-
-@dataclass(frozen=True)
-class LivesOptions:
-    """Which cases, and what computes them."""
-
-    seeds: str = "1..100"
-    """Seeds of the cases: 17, or 1..1000."""
-    workers: int | None = None
-    """Processes on this machine; one per core when left out."""
-    json: bool = False
-    """Print one JSON object instead of lines."""
 
 
 def lives(options: Annotated[LivesOptions, tyro.conf.arg(name="")]) -> None:

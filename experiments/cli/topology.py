@@ -8,7 +8,6 @@ import msgspec
 import tyro
 from rich.console import Console
 from rich.table import Table
-from tyro.extras import SubcommandApp
 
 from concord.experiments.progress import progress
 from concord.experiments.topology.compare import ComparisonRow, compared
@@ -144,15 +143,7 @@ def show(
     sys.stdout.write((msgspec.json.encode(drawn).decode() if json else text) + "\n")
 
 
-_COMMANDS = {"show": show, "analyse": analyse, "compare": compare, "generate": generate}
-
-
-def topology_commands() -> SubcommandApp:
-    """Return the commands below `concord topology`."""
-    commands = SubcommandApp()
-    for name, command in _COMMANDS.items():
-        commands.command(command, name=name)
-    return commands
+COMMANDS = {"show": show, "analyse": analyse, "compare": compare, "generate": generate}
 
 
 def _loss_table(losses: list[NodeLoss]) -> Table:
