@@ -25,7 +25,7 @@ HIDDEN = (
     ("process_noise", "yaw_rate_rad_s"),
 )
 """Where the drive does not tell the side slip, these take each other's errors, at a NIS of 1."""
-_STEADY = (
+STEADY = (
     *HIDDEN,
     *(("sensors", name, "offset") for name in _TURNING),
 )
@@ -75,10 +75,18 @@ def is_logged(channels: Mapping[str, ChannelReadings], name: str) -> bool:
     return name in channels and len(channels[name].values) > 0
 
 
+def left_to_file(
+    channels: Mapping[str, ChannelReadings], reference: SlipReference | None
+) -> tuple[tuple[str, ...], ...]:
+    """The paths of values that a drive does not tell from errors of the tyres."""
+    if tells_slip(channels, reference):
+        return ()
+    return HIDDEN if reference is None else STEADY
+
+
 def as_heard(heard: Heard, reference: SlipReference | None) -> Heard:
     """Return the same with what the drive lets seek, and the reference for a slip not logged."""
-    if not tells_slip(heard.channels, reference):
-        left = HIDDEN if reference is None else _STEADY
+    if left := left_to_file(heard.channels, reference):
         return heard._replace(sought=tuple(one for one in heard.sought if one.path not in left))
     if reference is None or is_logged(heard.channels, "side_slip"):
         return heard

@@ -1,5 +1,6 @@
 """The value of a car's file that alone explains most of what a log leaves unexplained, in words."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,14 @@ from msgspec import structs
 from concord.experiments.identification.likelihood import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.experiments.identification.suspects import Suspect, suspect
-from concord.experiments.identification.without_slip import HIDDEN, tells_slip
+from concord.experiments.identification.without_slip import (
+    HIDDEN,
+    STEADY,
+    left_to_file,
+    tells_slip,
+)
+from concord.experiments.results.innovations.slip_evidence import cut, reference_of
+from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.parameters import Car, ProcessNoise
@@ -44,12 +52,24 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
     found = suspect(log, car, tanh_tyre, every)
     if found is None:
         return ""
-    if found.sought.path in HIDDEN and not tells_slip(channels, None):
+    start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
+    start_s += setup.time_step_s * int(np.argmax(counted))
+    untold = _untold(found.sought.path, cut(channels, start_s, start_s + LONGEST_S), car)
+    if untold:
         return (
-            f"of single values of car.toml, {found.sought.name} explains most, but a log without "
-            f"side slip does not tell it from errors of the tyres; {_cure(plant.data)}"
+            f"of single values of car.toml, {found.sought.name} explains most, but {untold} does "
+            f"not tell it from errors of the tyres; {_cure(plant.data)}"
         )
     return in_words(found, plant.data)
+
+
+def _untold(path: tuple[str, ...], channels: Mapping[str, ChannelReadings], car: Car) -> str:
+    """Which drive does not tell a value, so that `identify` leaves it; empty if it does."""
+    if path in HIDDEN and not tells_slip(channels, None):
+        return "a log without side slip"
+    if path in STEADY and path in left_to_file(channels, reference_of(channels, car)):
+        return "a drive that changes its side slip so slowly"
+    return ""
 
 
 def _times(car: Car, factor: float) -> ProcessNoise:

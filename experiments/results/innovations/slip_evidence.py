@@ -70,7 +70,7 @@ def slip_evidence(
         grid = steps_over(corrected(channels, car.sensors), setup.time_step_s)
         times_s = grid.instants_s[: len(counted)]
         start_s = times_s[np.argmax(counted)]
-        reference = _reference(_cut(channels, start_s, start_s + longest_s), car)
+        reference = reference_of(cut(channels, start_s, start_s + longest_s), car)
         if reference is None or reference.told > SEEN:
             return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
         squares = _squares(belief, reference, times_s)
@@ -78,7 +78,7 @@ def slip_evidence(
     return SlipEvidence(found, logged)
 
 
-def _cut(
+def cut(
     channels: Mapping[str, ChannelReadings], start_s: float, end_s: float
 ) -> dict[str, ChannelReadings]:
     """The readings between two stamps, of channels that have some."""
@@ -92,7 +92,8 @@ def _cut(
     }
 
 
-def _reference(channels: dict[str, ChannelReadings], car: Car) -> SlipReference | None:
+def reference_of(channels: Mapping[str, ChannelReadings], car: Car) -> SlipReference | None:
+    """The side slip that a log tells without a slip sensor; None where nothing tells it."""
     if not {"yaw_rate", "steering"} <= channels.keys() or not speeds_in(channels):
         return None
     drive = even_drive(with_true_wheels(channels, car.sensors), MODEL_STEP_S)
