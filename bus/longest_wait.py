@@ -58,7 +58,8 @@ def longest_wait(
         The wait; None where a node may wait for ever, or contends in some of the contests alone.
     """
     rows, slots = set(schedule.contender_table), schedule.dynamic_slot_table
-    room = min(room, min((one for one in slots if one), default=0))
+    if arbiter.withdraws or schedule.relay:
+        room = min(room, min((one for one in slots if one), default=0))
     if len(rows) > 1 or not room:
         return None
     (contenders,) = rows

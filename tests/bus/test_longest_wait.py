@@ -160,9 +160,13 @@ def test_no_bids_make_information_older(nodes, slots, rounds, seed, halves, rand
 
 
 def test_arbiters_without_memory_bound_no_wait_unless_all_shares_fit():
+    assert bus_of(dynamic_only(6, 0.5), "wtod").longest_wait is None
     for arbiter in ("wtod", "minislot"):
-        assert bus_of(dynamic_only(6, 0.5), "wtod").longest_wait is None
         assert bus_of(dynamic_only(6, 1.0), arbiter).longest_wait == (1, 1)
+    assert bus_of(dynamic_only(6, 0.5), "minislot").longest_wait is None
+    # FlexRay sends whatever fits: the occupancy is no limit.
+    roomy = flexray_bus(dynamic_only(6, 0.5), AUDI, 60, ARBITERS["minislot"])
+    assert roomy.longest_wait == (1, 1)
     crowded = flexray_bus(dynamic_only(30, 1.0), AUDI, 200, ARBITERS["minislot"])
     assert crowded.longest_wait is None
     assert TimelessBus(dynamic_only(6, 0.5), 60, ARBITERS["round-robin"]).longest_wait == (2, 2)
