@@ -93,8 +93,8 @@ def greatest_ages_steps(
     sent: Flags,
     taken: Flags,
 ) -> np.ndarray:
-    """The greatest age (steps,) over all pairs of nodes at the end of each step, in steps: how far
-    what a node knows of another is behind what that one has taken.
+    """The greatest age (steps,) over all pairs of nodes at the end of each step, in steps: for how
+    long a node has lacked readings that another has taken.
 
     Args:
         schedule: who composes shares together.
@@ -109,21 +109,38 @@ def greatest_ages_steps(
     hears = np.zeros((nodes, nodes), dtype=bool)
     for node, heard in enumerate(neighbours):
         hears[node, list(heard)] = True
+    takes = np.array([taken(step) for step in range(steps)])
+    own = np.maximum.accumulate(np.where(takes, np.arange(steps)[:, None], -1), axis=0)
+    first = first_newer(own)
     newest = np.full((nodes, nodes), -1)  # of each source (column), known to each node (row)
-    is_known = np.zeros(nodes, dtype=bool)
     greatest = np.empty(steps, dtype=int)
     for step in range(steps):
-        takes = taken(step)
-        newest[:, takes & ~is_known] = step - 1
-        is_known |= takes
-        newest[takes, takes] = step
+        np.fill_diagonal(newest, own[step])
         for cycle in range(step * rounds, (step + 1) * rounds):
             has_sent = sent(cycle)
             for group in _senders(schedule, cycle):
                 senders = [node for node in group if has_sent[node]]
                 newest = np.maximum(newest, _heard(newest, hears, senders))
-        greatest[step] = (newest.diagonal() - newest).max()
+        greatest[step] = lags_steps(newest, first, step).max()
     return greatest
+
+
+def first_newer(own: np.ndarray) -> np.ndarray:
+    """The first step (S + 1, N) at which a source holds a newer reading than that of a step.
+
+    The steps are -1, 0, ..., and `own` (S, N) is the newest that each source holds at the end of
+    each step. S stands for never.
+    """
+    asked = np.arange(-1, len(own))
+    return np.stack([np.searchsorted(one, asked, side="right") for one in own.T], axis=1)
+
+
+def lags_steps(newest: np.ndarray, first: np.ndarray, step: int) -> np.ndarray:
+    """For how many steps each node (row) has lacked a reading that a source (column) holds.
+
+    It counts at the end of a step, which is included. 0: the node knows all.
+    """
+    return np.maximum(0, step + 1 - first[newest + 1, np.arange(newest.shape[-1])])
 
 
 def _senders(schedule: Schedule, cycle: int) -> list[Sequence[int]]:

@@ -6,7 +6,9 @@ import numpy as np
 
 from concord.bus.contended_bus import ContendedBus
 from concord.bus.information_age import (
+    first_newer,
     greatest_ages_steps,
+    lags_steps,
     worst_age_steps,
     worst_contended_age_steps,
 )
@@ -27,7 +29,7 @@ _APART = "a node never hears of another"
 
 
 class InformationAge(NamedTuple):
-    """How far, in steps, what a node knows of another is behind what that one has read, at most.
+    """For how many steps a node has lacked readings that another has taken, at most.
 
     `bound_steps` follows from schedule, graph and arbiter, and `why` says from what more; None
     where there is no bound, and then `why` is the reason. `observed_steps` is the greatest of a few
@@ -95,9 +97,8 @@ def _bound(setup: Setup) -> tuple[int | None, str]:
 
 
 def _record_lag(spread: RecordSpread) -> int:
-    """How many steps the newest record of a source at any node is behind that at its source."""
-    ages = record_ages(spread)
-    own = ages.diagonal(axis1=0, axis2=2)
-    steps, first = np.arange(len(own))[:, None], spread.taken.argmax(axis=0)
-    behind = np.where(ages < 0, steps + 1 - first, ages) - own
-    return int(behind[:, own >= 0].max(initial=0))
+    """For how many steps a node has lacked records that their source held."""
+    ages = record_ages(spread).swapaxes(0, 1)
+    newest = np.where(ages < 0, -1, np.arange(len(ages))[:, None, None] - ages)
+    first = first_newer(newest.diagonal(axis1=1, axis2=2))
+    return max(int(lags_steps(one, first, step).max()) for step, one in enumerate(newest))

@@ -78,11 +78,20 @@ def test_a_schedule_with_contention_and_a_graph_in_two_have_no_bound():
     assert worst_age_steps(full_publish(4), [[1], [0], [3], [2]], 1) is None
 
 
-def test_readings_that_are_not_taken_do_not_age():
+def test_an_unknown_reading_ages_from_when_it_was_taken():
     """Node 0 reads in the steps 3 and 7 alone, node 1 never."""
     graph = heard_by(nx.path_graph(2))
     ages = greatest_ages_steps(
         full_publish(2), graph, 1, 10, lambda cycle: np.array([cycle == 9, True]),
         lambda step: np.array([step in (3, 7), False]),
     )  # fmt: skip
-    assert ages.tolist() == [0, 0, 0, 1, 1, 1, 1, 5, 5, 0]
+    assert ages.tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 0]
+
+
+def test_a_pause_between_two_readings_is_no_age():
+    """Node 0 reads in the steps 0 and 8 alone, and node 1 hears of both in their steps."""
+    ages = greatest_ages_steps(
+        full_publish(2), heard_by(nx.path_graph(2)), 1, 10, lambda _: np.ones(2, dtype=bool),
+        lambda step: np.array([step in (0, 8), False]),
+    )  # fmt: skip
+    assert not ages.any()
