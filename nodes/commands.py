@@ -13,7 +13,7 @@ from concord.nodes.bounds import UNREADABLE
 from concord.nodes.changes import Settings
 from concord.nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
-MAX_COMMAND_BYTES = 4096
+MAX_COMMAND_BYTES = 65_536
 
 
 class Pause(msgspec.Struct, frozen=True, tag="pause", tag_field="do"):

@@ -10,11 +10,15 @@ from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
 
 
 class Epoch(NamedTuple):
-    """Steps from `first_step` on have so many rounds; their cycles begin at `first_cycle`."""
+    """Steps from `first_step` on have so many rounds; their cycles begin at `first_cycle`.
+
+    `graph` is the word for the edges of a graph that was set; "" for that of the beginning.
+    """
 
     first_step: int
     first_cycle: int
     rounds: int
+    graph: str = ""
 
 
 class AbsentSteps(NamedTuple):
@@ -53,6 +57,10 @@ class History(NamedTuple):
             for absent in self.absent_steps
         )
 
+    def graph(self, step: int) -> str:
+        """Return the graph of a step as `Epoch` has it."""
+        return next(e.graph for e in reversed(self.epochs) if e.first_step <= step)
+
     def place(self, cycle: int) -> tuple[int, int]:
         """The step that a communication cycle belongs to, and the number of its round."""
         epoch = next(e for e in reversed(self.epochs) if e.first_cycle <= cycle)
@@ -76,7 +84,8 @@ def with_event(history: History, event: Event) -> History:
     match event.change:
         case Set(settings, first_cycle):
             rounds = int(settings.get("rounds", history.epochs[-1].rounds))
-            return history._replace(epochs=(*history.epochs, Epoch(step, first_cycle, rounds)))
+            epoch = Epoch(step, first_cycle, rounds, str(settings.get("graph", "")))
+            return history._replace(epochs=(*history.epochs, epoch))
         case Left(node) | Gone(node):
             return history._replace(
                 absent_steps=(*history.absent_steps, AbsentSteps(node, step, None))

@@ -28,16 +28,19 @@ _LATE = "late"
 
 def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     """File a frame under its cycle and sender, or count why not."""
-    if event.sender not in config.neighbours:
+    # Nothing changes while a step is under way: what holds now holds for this frame as well.
+    is_settled = state.phase is not Phase.MEASUREMENT
+    is_stranger = event.sender not in config.neighbours
+    if is_stranger and is_settled:
         return count(state, "rejected stranger")
     try:
         fragment = _read(config, state.cycle, event.frame)
     except Rejected as rejected:
         return count(state, _counter(rejected))
     if fragment.cycle >= _end_cycle(config, state):
-        # Nothing changes while a step is under way: what holds now holds for this frame as well.
-        is_settled = state.phase is not Phase.MEASUREMENT
         return _keep_early(config, state, event, fragment, is_settled)
+    if is_stranger:
+        return count(state, "rejected stranger")
     return _file(config, state, event.sender, fragment, event.frame)
 
 
@@ -70,14 +73,15 @@ def file_early(config: NodeConfig, state: NodeState) -> NodeState:
     """Frames of the step that has just begun have waited for it."""
     end = _end_cycle(config, state)
     early = state.inbox.early
-    due = [(key[0], *kept) for key, kept in early.items() if key[1] < end]
     state = replace(state, inbox=replace(state.inbox, early={}))
     for (sender, cycle, *_), (fragment, frame) in early.items():
-        if cycle >= end:
-            # It may have come between two steps, when that was open.
+        # It may have come between two steps, when the graph and its slot were open.
+        if sender not in config.neighbours:
+            state = count(state, "rejected stranger")
+        elif cycle >= end:
             state = _keep_early(config, state, ShareHeard(sender, frame), fragment, True)
-    for sender, fragment, frame in due:
-        state = _file(config, state, sender, fragment, frame)
+        else:
+            state = _file(config, state, sender, fragment, frame)
     return state
 
 

@@ -72,7 +72,6 @@ def run(
     the network, in which `check` completes settings. `watch` is shown what every event made of its
     node, and of a node that is back its welcome.
     """
-    audience = [[c.index for c in configs if i in c.neighbours] for i in range(len(configs))]
     beginnings, configs = list(configs), list(configs)
     states = [state_machine.initial_state(config) for config in configs]
     queue: list[tuple[int, NodeEvent | EnvironmentEvent]] = []
@@ -91,7 +90,7 @@ def run(
                 node = message.node
                 configs[node], states[node] = node_changes.begin_late(beginnings[node], message)
                 watch(configs[node], message, states[node])
-            queue.extend(_deliveries(message, audience, link))
+            queue.extend(_deliveries(message, controller.config.neighbours, link))
 
     controller = RunController(environment_config, script, ProcessStarter(out.add, start, check))
     post(controller.begin())
@@ -118,20 +117,21 @@ def run(
 
 
 def _deliveries(
-    message: NodeMessage | EnvironmentMessage, audience: list[list[int]], link: Link
+    message: NodeMessage | EnvironmentMessage, neighbours: Sequence[Sequence[int]], link: Link
 ) -> Iterable[tuple[int, NodeEvent | EnvironmentEvent]]:
-    """Return the receivers of a message, each with its event."""
+    """Return the receivers of a message, each with its event, where node i hears neighbours[i]."""
     match message:
         case ShareSent():
             return [
                 (receiver, ShareHeard(message.node, frame))
-                for receiver in audience[message.node]
+                for receiver, heard in enumerate(neighbours)
+                if message.node in heard
                 for frame in link(message.node, receiver, message.frame)
             ]
         case Measured():
             return [(message.node, message)]
         case Grant():
-            return [(node, message) for node in range(len(audience))]
+            return [(node, message) for node in range(len(neighbours))]
         case Truth() | Event() | Gone() | Welcome():
             return []
         case _:

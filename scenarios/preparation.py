@@ -3,6 +3,7 @@
 import hashlib
 import os
 from functools import partial
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -21,6 +22,7 @@ from concord.scenarios.filters import check_models, check_prior
 from concord.scenarios.links import losses_of, network_of
 from concord.scenarios.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
+from concord.scenarios.scenario_definition import ScenarioPlant
 from concord.scenarios.script import check_script
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
@@ -39,7 +41,42 @@ def prepare(scenario: Scenario) -> Setup:
     Raises:
         ValueError: anything that cannot run, named with its value, the rule and the cure.
     """
-    # Only here: a process of the network is handed the graph and need not know how to draw it.
+    check_ranges(scenario)
+    scenario = with_pinned_arbiter(scenario)
+    definition = definition_of(scenario)
+    definition.refuse(scenario)
+    plant = definition.plant(scenario)
+    neighbours, weights, losses, phases = _graph(scenario, plant)
+    unborn = Setup(scenario, neighbours, weights, [], [], [], plant.time_step_s, losses, phases)
+    setup = setup_of_run(unborn, scenario.run)
+    check_network(setup)
+    _check_filter(setup)
+    check_script(
+        scenario,
+        lambda settings: with_settings(setup, settings).neighbours,
+        partial(complete_settings, setup),
+        partial(_equipment, setup),
+    )
+    return setup
+
+
+class _Graph(NamedTuple):
+    """The graph of a `Setup`, with all that comes with it."""
+
+    neighbours: list[list[int]]
+    weights: list[list[float]]
+    losses: list[list[float]] | None
+    phases: list[list[list[int]]] | None
+
+
+def _graph(scenario: Scenario, plant: ScenarioPlant) -> _Graph:
+    """Draw the graph of a scenario, with its weights.
+
+    Raises:
+        ValueError: a graph that is none, that is not connected, or that cannot have these weights.
+    """
+    # Only here: a process of the network is handed the graph of the beginning, and draws another
+    # one only where a change asks for it.
     from concord.topology.adjacency import neighbours_of
     from concord.topology.analysis import require_connected
     from concord.topology.edge_text import edge_text
@@ -48,13 +85,8 @@ def prepare(scenario: Scenario) -> Setup:
     from concord.topology.network import Network
     from concord.topology.weights import build_weights, check_weights, per_node
 
-    check_ranges(scenario)
-    scenario = with_pinned_arbiter(scenario)
-    definition = definition_of(scenario)
-    definition.refuse(scenario)
-    plant = definition.plant(scenario)
     positions = plant.positions(0)
-    radius = definition.radio_range_m if positions is not None else None
+    radius = definition_of(scenario).radio_range_m if positions is not None else None
     data = os.environ.get(DATA_VARIABLE)
 
     def build(name: str) -> Network:
@@ -63,22 +95,16 @@ def prepare(scenario: Scenario) -> Setup:
         return build_network(name, scenario.nodes, scenario.seed, positions, radius, data)
 
     network, phases = network_of(scenario, build)
-    adjacency = network.adjacency
-    require_connected(adjacency)
-    weights = build_weights(scenario.network.weights, adjacency)
-    check_weights(weights, adjacency)
-    neighbours = neighbours_of(adjacency)
-    rows = per_node(weights, neighbours)
-    losses = losses_of(scenario, network, neighbours)
-    turns = [neighbours_of(phase) for phase in phases] or None
-    unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
-    setup = setup_of_run(unborn, scenario.run)
-    check_network(setup)
-    _check_filter(setup)
-    check_script(
-        scenario, neighbours, partial(complete_settings, setup), partial(_equipment, setup)
+    require_connected(network.adjacency)
+    weights = build_weights(scenario.network.weights, network.adjacency)
+    check_weights(weights, network.adjacency)
+    neighbours = neighbours_of(network.adjacency)
+    return _Graph(
+        neighbours,
+        per_node(weights, neighbours),
+        losses_of(scenario, network, neighbours),
+        [neighbours_of(phase) for phase in phases] or None,
     )
-    return setup
 
 
 def _equipment(setup: Setup, settings: Settings) -> Equipment:
@@ -186,10 +212,12 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     if definition_of(scenario).wirings:
         raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
     settings = {**before, **asked}
+    if "graph" in asked:
+        settings["graph"] = _edges(scenario, str(asked["graph"]))
     changed, left = scenario.with_known(**settings)
     refuse_left(changed, {name: value for name, value in left.items() if name in asked})
     require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
-    check_network(msgspec.structs.replace(setup, scenario=changed))
+    check_network(with_settings(setup, settings))
     if is_set_valued(changed) != is_set_valued(scenario):
         raise ValueError(
             f"set rule={changed.rule.name}: {scenario.rule.name} keeps "
@@ -201,10 +229,41 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     return {name: value for name, value in settings.items() if name not in left}
 
 
+def _edges(scenario: Scenario, graph: str) -> str:
+    """Return a graph for a network that runs as the word for its edges, which no process can take
+    for another one.
+
+    Raises:
+        ValueError: a graph that is none, or links that follow graphs of their own.
+    """
+    # Only here, as in `_graph`.
+    from concord.topology.edge_text import edge_text
+
+    links = scenario.network.links
+    if links != "static":
+        raise ValueError(
+            f"set graph={graph}: --links {links} brings its own graph; leave one of the two out"
+        )
+    if is_source_name(graph) or graph.startswith("file:"):
+        raise ValueError(
+            f"set graph={graph}: a network that runs reads no files; name a graph such as ring, or "
+            "write edges:0-1;1-2"
+        )
+    asked = scenario.with_(graph=graph)
+    hears = np.zeros((asked.nodes, asked.nodes))
+    for node, heard in enumerate(_graph(asked, definition_of(asked).plant(asked)).neighbours):
+        hears[node, heard] = 1
+    return edge_text(hears)
+
+
 def with_settings(setup: Setup, settings: Settings) -> Setup:
     """The setup of the same network and plant with other values for options of its scenario."""
     scenario, _ = setup.scenario.with_known(**settings)
-    return msgspec.structs.replace(setup, scenario=scenario)
+    changed = msgspec.structs.replace(setup, scenario=scenario)
+    if scenario.network.graph == setup.scenario.network.graph:
+        return changed
+    drawn = _graph(scenario, definition_of(scenario).plant(scenario))
+    return msgspec.structs.replace(changed, **drawn._asdict())
 
 
 def share_bytes(setup: Setup) -> int:

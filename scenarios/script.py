@@ -92,22 +92,24 @@ def _read(line: str) -> Scripted:
 
 def check_script(
     scenario: Scenario,
-    neighbours: Sequence[Sequence[int]],
+    linked: Callable[[Settings], Sequence[Sequence[int]]],
     complete: Callable[[Settings, Settings], Settings],
     equip: Callable[[Settings], Equipment],
 ) -> None:
-    """Refuse changes that cannot follow upon one another; `complete` refuses settings, `equip` says
-    what a network with such settings has that can be wrong.
+    """Refuse changes that cannot follow upon one another; `complete` refuses settings, `linked` and
+    `equip` say whom each node of a network with such settings hears, and what can be wrong in it.
 
     Raises:
         ValueError: naming the line, and why not.
     """
-    standing, script = UNCHANGED, script_of(scenario)
+    standing, script, neighbours = UNCHANGED, script_of(scenario), linked({})
     for line, (step, command) in zip(_in_order(scenario), script, strict=True):
         try:
             equipment = equip(standing.settings) if isinstance(command, Inject) else Equipment()
             check_command(command, neighbours, standing, False, equipment)
             standing = _stands(standing, step, command, neighbours, complete)
+            if isinstance(command, Configure):
+                neighbours = linked(standing.settings)
         except ValueError as refused:
             raise ValueError(f"--changes {line!r}: {refused}") from None
 

@@ -14,6 +14,7 @@ from concord.nodes.history import History, history_of, with_holes, without_lost_
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.labelled import smoothing_lags
+from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.frame_formats import frame_format
 from concord.scenarios.types.rules import MeasurementFlooding
@@ -154,13 +155,17 @@ def _assemble(
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
     controls: list[list[float] | None] = [None] * steps
+    neighbours = {
+        graph: with_settings(setup, {"graph": graph} if graph else {}).neighbours
+        for graph in {epoch.graph for epoch in history.epochs}
+    }
     for k, i in np.ndindex(steps, nodes):
         if not history.is_in(i, k):
             continue
         estimate = estimates[k, i]
         mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
         ages[k, i, i] = 0
-        ages[k, i, setup.neighbours[i]] = estimate.ages
+        ages[k, i, neighbours[history.graph(k)][i]] = estimate.ages
         counters[i], suspect[k, i] = estimate.counters, estimate.suspect
         estimate_age_s[k, i] = np.nan if estimate.age_s is None else estimate.age_s
         gap[k, i] = np.nan if estimate.gap is None else estimate.gap

@@ -42,6 +42,8 @@ def without_array_form(scenario: Scenario) -> str | None:
     definition = definition_of(scenario)
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
+    if any(held.network.graph != scenario.network.graph for held in _set_in(scenario)):
+        return "another graph (--changes)"
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
     if (wiring := definition.wiring(scenario)) is not None:

@@ -76,6 +76,12 @@ def plan_links(
     return links
 
 
+def endpoints_below(links: dict[str, ZenohEndpoints], node: int) -> dict[int, str]:
+    """Where the nodes below one listen in a mesh, to which it would open a link."""
+    below = {j: links[str(j)].listen for j in range(node) if str(j) in links}
+    return {j: listen[0] for j, listen in below.items() if listen}
+
+
 def links_to_routers(connect: Sequence[str], keys: str | None) -> ZenohEndpoints:
     """How a process on one of several hosts joins: through the first router that answers."""
     return ZenohEndpoints("client", (), tuple(connect), ROUTER_S, keys)

@@ -10,6 +10,8 @@ import re
 import threading
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
+from functools import partial
+from typing import Any
 
 import msgspec
 import zenoh
@@ -103,6 +105,107 @@ def start_router(
     )
 
 
+class _Listening:
+    """A callback for the messages of a key, on one session or several."""
+
+    def __init__(self, key: str, take: Callable[[zenoh.Sample], None]) -> None:
+        self._key, self._take = key, take
+        self._declared: list[zenoh.Subscriber[None]] = []
+
+    def begin(self, session: zenoh.Session) -> None:
+        """Listen on a session."""
+        callback = zenoh.handlers.Callback(self._take, indirect=False)
+        self._declared.append(session.declare_subscriber(self._key, callback))
+
+    def end(self) -> None:
+        """Listen no more."""
+        for subscriber in self._declared:
+            subscriber.undeclare()
+
+
+class _Sessions:
+    """The sessions of one process: the first one, and one to each peer that it met later."""
+
+    def __init__(self, prefix: str, links: ZenohEndpoints) -> None:
+        self._prefix, self._keys = prefix, links.keys
+        self.first = _open(links)
+        self._later: dict[str, zenoh.Session] = {}
+        self._publishers: dict[tuple[str, bool], tuple[zenoh.Publisher, ...]] = {}
+        self._listening: list[_Listening] = []
+        self._name, self._see = "", lambda sample: None
+        # A declaration with a callback lives as long as a reference to it.
+        self._declared: list[object] = []
+
+    @property
+    def all(self) -> tuple[zenoh.Session, ...]:
+        """Return the sessions in the order in which they were opened."""
+        return (self.first, *self._later.values())
+
+    def meet(self, endpoint: str | None, subscribe: Callable[[zenoh.Session], None]) -> None:
+        """Subscribe on the session with a link to a peer (`Transport.meet`)."""
+        if endpoint is None or endpoint in self._later:
+            subscribe(self._later.get(endpoint or "", self.first))
+            return
+        session = _open(ZenohEndpoints("peer", (), (endpoint,), None, self._keys))
+        for one in self._listening:
+            one.begin(session)
+        subscribe(session)
+        self._later[endpoint] = session
+        if self._name:
+            self._announce(session)
+
+    def announce(self, name: str, see: Callable[[zenoh.Sample], None]) -> None:
+        """Say that the process `name` is ready, and have `see` called when others are."""
+        self._name, self._see = name, see
+        for session in self.all:
+            self._announce(session)
+
+    def _announce(self, session: zenoh.Session) -> None:
+        liveliness, key = session.liveliness(), self._prefix + "ready/"
+        seen = zenoh.handlers.Callback(self._see, indirect=False)
+        self._declared.append(liveliness.declare_subscriber(key + "*", seen, history=True))
+        self._declared.append(liveliness.declare_token(key + self._name))
+
+    def listen(self, topic: str, take: Callable[[zenoh.Sample], None]) -> Callable[[], None]:
+        """Have `take` called for every message of a topic; return what ends it."""
+        listening = _Listening(self._prefix + topic, take)
+        for session in self.all:
+            listening.begin(session)
+        self._listening.append(listening)
+
+        def stop() -> None:
+            self._listening.remove(listening)
+            listening.end()
+
+        return stop
+
+    def publish(self, topic: str, data: bytes, *, waits: bool) -> None:
+        """Publish on all sessions; wait for room, or drop what finds none."""
+        made = self._publishers.get((topic, waits), ())
+        if len(made) <= len(self._later):
+            made = self._publishers[topic, waits] = self._with_all(made, topic, waits)
+        for publisher in made:
+            publisher.put(data)
+
+    def _with_all(
+        self, made: tuple[zenoh.Publisher, ...], topic: str, waits: bool
+    ) -> tuple[zenoh.Publisher, ...]:
+        # None is sent by itself ("express"): what follows at once shares the room that a link
+        # has. Sixteen by themselves fill it, and a link that breaks while somebody waits for
+        # room holds up all others of its process for longer than their lease.
+        control = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
+        key = self._prefix + topic
+        lacking = self.all[len(made) :]
+        return made + tuple(
+            session.declare_publisher(key, congestion_control=control) for session in lacking
+        )
+
+    def close(self) -> None:
+        """Close all sessions."""
+        for session in reversed(self.all):
+            session.close()
+
+
 class Transport:
     """One process's place in the network of a run: topics below `concord/<run>/`.
 
@@ -130,20 +233,21 @@ class Transport:
             LinkError: a port is taken or a peer does not answer.
         """
         os.environ.setdefault("ZENOH_RUNTIME", _TWO_THREADS if answers else _ONE_THREAD)
-        self._prefix = f"concord/{run}/"
-        self._session = _open(links)
-        self._queues = {
-            topic: self._session.declare_subscriber(
-                self._prefix + topic, zenoh.handlers.FifoChannel(queue)
-            )
-            for topic in subscriptions
-        }
-        self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
+        self._prefix, self._queue = f"concord/{run}/", queue
+        self._sessions = _Sessions(self._prefix, links)
+        self._session = self._sessions.first
+        self._queues: dict[str, Any] = {}
+        self._subscribe(subscriptions, self._session)
         # A declaration with a callback lives as long as a reference to it.
         self._declared: list[object] = []
         self._present: set[str] = set()
         self._presence = threading.Condition()
         self._told = lambda name, is_there: None
+
+    def _subscribe(self, topics: Sequence[str], session: zenoh.Session) -> None:
+        for topic in topics:
+            channel = zenoh.handlers.FifoChannel(self._queue)
+            self._queues[topic] = session.declare_subscriber(self._prefix + topic, channel)
 
     def join(self, name: str, awaited: Collection[str]) -> None:
         """Say that this process is ready, and wait until all of `awaited` have said so.
@@ -151,12 +255,24 @@ class Transport:
         Declarations keep their order on a link: a peer that sees our token also has our
         subscriptions.
         """
-        liveliness = self._session.liveliness()
-        key = self._prefix + "ready/"
-        seen = zenoh.handlers.Callback(self._see, indirect=False)
-        self._declared.append(liveliness.declare_subscriber(key + "*", seen, history=True))
-        self._declared.append(liveliness.declare_token(key + name))
+        self._sessions.announce(name, self._see)
         self.await_present(awaited)
+
+    def meet(self, endpoint: str | None, topics: Sequence[str]) -> None:
+        """Subscribe to topics of a peer that has become a neighbour.
+
+        The peer listens at `endpoint`, and a link is opened as soon as it answers; None where it
+        opens the link, or a router is between.
+
+        Raises:
+            LinkError: there can be no such link.
+        """
+        self._sessions.meet(endpoint, partial(self._subscribe, topics))
+
+    def unsubscribe(self, topics: Sequence[str]) -> None:
+        """End the subscriptions to these topics; what waits in their queues is dropped."""
+        for topic in topics:
+            self._queues.pop(topic).undeclare()
 
     def await_present(self, names: Collection[str], seconds: float | None = None) -> bool:
         """Wait until all of `names` are ready: whether they are, after `seconds` at most."""
@@ -189,15 +305,7 @@ class Transport:
         def take(sample: zenoh.Sample) -> None:
             heard(self._topic(sample), sample.payload.to_bytes())
 
-        callback = zenoh.handlers.Callback(take, indirect=False)
-        subscriber = self._session.declare_subscriber(self._prefix + topic, callback)
-        self._declared.append(subscriber)
-
-        def stop() -> None:
-            self._declared.remove(subscriber)
-            subscriber.undeclare()
-
-        return stop
+        return self._sessions.listen(topic, take)
 
     def answer(self, topic: str, reply: Callable[[bytes], bytes]) -> None:
         """Answer questions on a topic with `reply(payload)`, in another thread."""
@@ -218,23 +326,11 @@ class Transport:
 
     def send(self, topic: str, data: bytes) -> None:
         """Publish; waits rather than loses when a receiver is slow."""
-        self._publisher(topic, waits=True).put(data)
+        self._sessions.publish(topic, data, waits=True)
 
     def offer(self, topic: str, data: bytes) -> None:
         """Publish to subscribers; drop rather than wait. Without a subscriber it costs nothing."""
-        self._publisher(topic, waits=False).put(data)
-
-    def _publisher(self, topic: str, *, waits: bool) -> zenoh.Publisher:
-        publisher = self._publishers.get((topic, waits))
-        if publisher is None:
-            # None is sent by itself ("express"): what follows at once shares the room that a link
-            # has. Sixteen by themselves fill it, and a link that breaks while somebody waits for
-            # room holds up all others of its process for longer than their lease.
-            control = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
-            publisher = self._publishers[topic, waits] = self._session.declare_publisher(
-                self._prefix + topic, congestion_control=control
-            )
-        return publisher
+        self._sessions.publish(topic, data, waits=False)
 
     def listened(self, topic: str, told: Callable[[bool], None]) -> None:
         """Have `told(whether)` called, also in another thread, when somebody listens to a topic, or
@@ -272,7 +368,7 @@ class Transport:
 
     def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
         """Return the next message of one subscription if it is there; None after leaving."""
-        with suppress(zenoh.ZError):
+        with suppress(zenoh.ZError, KeyError):
             while (sample := self._queues[subscription].try_recv()) is not None:
                 data = sample.payload.to_bytes()
                 if data:
@@ -282,16 +378,15 @@ class Transport:
     def wake(self, subscription: str) -> None:
         """Wake the thread of this process that waits for this subscription."""
         # To this process only: an empty message is no message. A closed session needs no wake-up.
+        key = self._prefix + subscription.replace("*", "-")
+        here = zenoh.Locality.SESSION_LOCAL
         with suppress(zenoh.ZError):
-            self._session.put(
-                self._prefix + subscription.replace("*", "-"),
-                b"",
-                allowed_destination=zenoh.Locality.SESSION_LOCAL,
-            )
+            for session in self._sessions.all:
+                session.put(key, b"", allowed_destination=here)
 
     def _topic(self, sample: zenoh.Sample) -> str:
         return str(sample.key_expr)[len(self._prefix) :]
 
     def close(self) -> None:
         """Leave the network."""
-        self._session.close()
+        self._sessions.close()

@@ -150,7 +150,7 @@ def _serve(job: Job, plan: _Plan) -> End:
             else:
                 # On another host the network may run already.
                 late = job.place is not None
-                work = partial(be_node, job, plan.links[name], nodes[name], late)
+                work = partial(be_node, job, plan.links, nodes[name], late)
                 supervisor.start(name, work)
         tell(Happened("started", pids=supervisor.pids, connect=plan.connect))
         end = _Watch(supervisor, orders, tell_ends, job, plan, nodes).keep()
@@ -245,7 +245,8 @@ class _Watch:
         name = str(node)
         # It may be there still, and hang.
         self._supervisor.kill(name)
-        links = self._plan.links[name]._replace(connect_s=None)
+        own = self._plan.links[name]._replace(connect_s=None)
+        links = {**self._plan.links, name: own}
         work = partial(be_node, self._job, links, self._nodes[name], late=True)
         self._supervisor.start(name, work)
         self._tell("started")

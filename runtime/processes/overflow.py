@@ -64,6 +64,17 @@ class Overflow:
             self._fill()
             return taken + self._taken()
 
+    def follow(self, added: dict[str, str | None], ended: Sequence[str]) -> None:
+        """Receive topics that are `added`, each from the peer that listens at an endpoint or links
+        to this process (`Transport.meet`), and those that `ended` no more."""
+        with self._emptying:
+            self._transport.unsubscribe(ended)
+            for topic in ended:
+                del self._aside[topic]
+            for topic, endpoint in added.items():
+                self._transport.meet(endpoint, [topic])
+                self._aside[topic] = deque(maxlen=self._queue)
+
     @property
     def awaited(self) -> str:
         """The topic that its owner waits for, or has waited for last."""

@@ -13,7 +13,13 @@ import msgspec
 
 from concord.nodes.node_state import NodeConfig
 from concord.runtime.disk import NotWritten
-from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints, peers_of
+from concord.runtime.network.links import (
+    RECORDER,
+    WATCH,
+    ZenohEndpoints,
+    endpoints_below,
+    peers_of,
+)
 from concord.runtime.network.zenoh_transport import LinkError, start_router
 from concord.runtime.processes.environment.failures import Deserted, Disagreement
 from concord.runtime.processes.environment.management import Management
@@ -109,11 +115,21 @@ def be_environment(
         sys.exit(1)
 
 
-def be_node(job: Job, links: ZenohEndpoints, config: NodeConfig, late: bool = False) -> None:
+def be_node(
+    job: Job, links: dict[str, ZenohEndpoints], config: NodeConfig, late: bool = False
+) -> None:
     """Be one node; `late` where the network may run already."""
-    peers = peers_of(config.index, job.setup.neighbours)
-    timeout_s = math.inf if job.place is None else job.place.peer_timeout_s
-    membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, timeout_s)
+    index = config.index
+    membership = Membership(
+        job.run,
+        links[str(index)],
+        config,
+        peers_of(index, job.setup.neighbours),
+        fingerprint(job.setup),
+        late,
+        endpoints_below(links, index),
+        math.inf if job.place is None else job.place.peer_timeout_s,
+    )
     paced = LockstepNode if job.tempo is None else partial(RealTimeNode, tempo=job.tempo)
     _joining(lambda: run_node(membership, paced(membership)))
 

@@ -14,7 +14,7 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     graph: Annotated[
         str,
         Option("Graph of the network: ring, path, star, grid, complete, 4-regular, geometric, "
-               "file:PATH, FILE.py:NAME, ..."),
+               "file:PATH, FILE.py:NAME, ...", is_setting=True),
     ]  # fmt: skip
     weights: Annotated[
         str,

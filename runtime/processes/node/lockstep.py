@@ -41,7 +41,7 @@ class LockstepNode:
             membership.run, membership.links, node_topics(config), NODE_QUEUE
         )
         self._inbox = LockstepInbox(self.transport, config)
-        self._neighbours = {str(j) for j in config.neighbours}
+        self._neighbours, self._peers = config.neighbours, {*membership.peers}
         self._unreachable: deque[int] = deque()
         self._departed = DepartedPeers(_GRACE_S, self._miss)
         self._timeout = PeerTimeout(ENVIRONMENT, membership.peer_timeout_s)
@@ -78,7 +78,9 @@ class LockstepNode:
         welcome = inbox.welcomes.pop()
         # Ends that were told so far were those of this node's former life.
         inbox.gone.clear()
-        return node_changes.begin_late(self._beginning, welcome)
+        config, state = node_changes.begin_late(self._beginning, welcome)
+        self.link(config)
+        return config, state
 
     def begin(self) -> None:
         """Take part from the next step on."""
@@ -104,9 +106,7 @@ class LockstepNode:
         inbox = self._inbox
         if inbox.gone:
             return ()
-        while self._unreachable:
-            lost = Unreachable(config.index, self._unreachable.popleft())
-            self.transport.send(topic(lost), encode(lost))
+        self._tell_unreachable(state)
         if inbox.again:
             return inbox.next_repeated(state)
         match state.phase:
@@ -116,6 +116,15 @@ class LockstepNode:
                 return inbox.await_one("grant")
             case _:
                 return inbox.await_shares(state_machine.awaited_neighbours(config, state))
+
+    def _tell_unreachable(self, state: NodeState) -> None:
+        """Name members to the environment whose links have not come back."""
+        while self._unreachable:
+            neighbour = self._unreachable.popleft()
+            # A node that is out may return, with a link that was away for as long as it was.
+            if neighbour not in state.absent and self.transport.missing([str(neighbour)]):
+                lost = Unreachable(self._beginning.index, neighbour)
+                self.transport.send(topic(lost), encode(lost))
 
     def settle(self, config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState]:
         """Count messages that could not be used."""
@@ -134,8 +143,21 @@ class LockstepNode:
         """Wait for links to nodes that join: each must hear this node's first share."""
         changes = state.inbox.measured[state.step + 1].changes
         joined = {change.node for change in changes if isinstance(change, Joined)}
-        peers = {str(j) for j in joined & set(self._membership.peers)}
+        peers = {str(j) for j in joined & self._peers}
         self.transport.await_present(peers, _LINK_S)
+
+    def link(self, config: NodeConfig) -> None:
+        """Hear the neighbours of a configuration, and wait for links to those that are new."""
+        peers = self._membership.peers_in(config)
+        if config.neighbours == self._neighbours and peers == self._peers:
+            return
+        new, self._peers, self._neighbours = peers - self._peers, peers, config.neighbours
+        at = self._membership.endpoints
+        self._inbox.follow({j: at.get(j) for j in config.neighbours})
+        for peer in new - {*config.neighbours}:
+            self.transport.meet(at.get(peer), [])
+        there = {str(j) for j in new - {*config.standing.absent}}
+        self.transport.await_present(there, _LINK_S)
 
     def note(self, config: NodeConfig, before: NodeState, after: NodeState) -> None:
         """No clock is kept."""
@@ -151,7 +173,7 @@ class LockstepNode:
     def _see(self, name: str, is_there: bool) -> None:
         """A process has come or is gone. Runs on: a thread of zenoh's."""
         self._timeout.see(name, is_there)
-        if name in self._neighbours:
+        if name.isdigit() and int(name) in self._neighbours:
             self._departed.see(name, is_there)
         # A hello is repeated for an environment process that is back, not for the first.
         if self._republisher.see(name, is_there) and name == ENVIRONMENT:

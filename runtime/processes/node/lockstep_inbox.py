@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from concord.nodes.changes import Gone, Welcome
 from concord.nodes.messages import END, MalformedMessage, NodeEvent, ShareHeard, decode
@@ -31,9 +31,8 @@ class LockstepInbox:
 
     def __init__(self, transport: Transport, config: NodeConfig) -> None:
         self._transport, self._index = transport, config.index
-        self._shares = {j: f"share/{j}" for j in config.neighbours}
-        self._senders = {name: j for j, name in self._shares.items()}
         self._topics = node_topics(config)
+        self._name_shares(config.neighbours)
         self._frames = config.bus.frame_format
         self.queues = Overflow(transport, self._topics, NODE_QUEUE)
         self.gone: deque[Gone] = deque()
@@ -50,6 +49,18 @@ class LockstepInbox:
         transport.listen("end", self._hear_end)
         for name in ("share/*", "grant", f"measured/{config.index}"):
             transport.listen(f"{AGAIN}/{name}", self._hear_again)
+
+    def _name_shares(self, senders: Iterable[int]) -> None:
+        self._shares = {j: f"share/{j}" for j in senders}
+        self._senders = {name: j for j, name in self._shares.items()}
+
+    def follow(self, senders: Mapping[int, str | None]) -> None:
+        """Hear these nodes, and no others: each listens at an endpoint, or links to this one."""
+        topics = {f"share/{j}": endpoint for j, endpoint in senders.items()}
+        before = self._senders
+        added = {topic: topics[topic] for topic in topics if topic not in before}
+        self._name_shares(senders)
+        self.queues.follow(added, [topic for topic in before if topic not in topics])
 
     def await_one(self, name: str) -> Sequence[NodeEvent]:
         """Wait for the next message of a topic."""
@@ -115,7 +126,7 @@ class LockstepInbox:
 
     def wake(self, neighbour: int) -> None:
         """Interrupt a wait for the heartbeat or a neighbour's share. Runs on: any thread."""
-        for topic in (f"measured/{self._index}", self._shares[neighbour]):
+        for topic in (f"measured/{self._index}", f"share/{neighbour}"):
             self._transport.wake(topic)
 
     def _hear_again(self, name: str, data: bytes) -> None:

@@ -1,12 +1,12 @@
 """How the process of a node belongs to a network of processes."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import msgspec
 
 from concord.nodes.node_state import NodeConfig
-from concord.runtime.network.links import ZenohEndpoints
+from concord.runtime.network.links import ZenohEndpoints, peers_of
 
 
 class Membership(msgspec.Struct, frozen=True):
@@ -19,6 +19,8 @@ class Membership(msgspec.Struct, frozen=True):
         peers: nodes that it hears or that hear it; all must be there before the first share.
         fingerprint: digest of the setup; the environment process refuses another than its own.
         late: it joins a network that may run already.
+        endpoints: where nodes listen to which this one may have to open a link, when a change makes
+            them neighbours; none where a router is between.
         peer_timeout_s: the process ends when it has been without the environment process for so
             long; infinite where a launcher process ends it.
     """
@@ -29,4 +31,9 @@ class Membership(msgspec.Struct, frozen=True):
     peers: Collection[int]
     fingerprint: str
     late: bool = False
+    endpoints: Mapping[int, str] = {}
     peer_timeout_s: float = math.inf
+
+    def peers_in(self, config: NodeConfig) -> set[int]:
+        """Return whom this node hears, or who hears it, in a configuration of it."""
+        return {*peers_of(config.index, config.faults.equipment.neighbours)}

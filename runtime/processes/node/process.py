@@ -65,6 +65,10 @@ class NodePacing(Protocol):
         """Wait for links to nodes that join in the step that begins now."""
         ...
 
+    def link(self, config: NodeConfig) -> None:
+        """Hear the neighbours of this configuration, which may be others than before."""
+        ...
+
     def note(self, config: NodeConfig, before: NodeState, after: NodeState) -> None:
         """A step of the state machine was made."""
         ...
@@ -113,5 +117,6 @@ def _take_part(pacing: NodePacing, config: NodeConfig, state: NodeState) -> None
         if state.phase is Phase.CHANGE:
             pacing.await_joined(state)
             config, state, messages = node_changes.apply(config, state)
+            pacing.link(config)
             pacing.send(state, messages)
         pacing.note(config, before, state)

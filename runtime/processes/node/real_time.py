@@ -157,6 +157,9 @@ class RealTimeNode:
     def await_joined(self, state: NodeState) -> None:
         """The clock waits for no node."""
 
+    def link(self, config: NodeConfig) -> None:
+        """The graph stays: settings cannot change where the clock waits for no node."""
+
     def note(self, config: NodeConfig, before: NodeState, after: NodeState) -> None:
         """Record when a cycle begins: when its share has been sent."""
         self._decisions.note(config, before, after, time.monotonic())
