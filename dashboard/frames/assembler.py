@@ -95,6 +95,8 @@ class Assembler:
             since = self._network.anchor[:2]
             self._stage = restaged(self._stage, dict(self._network.settings), *since)
             self._bus = BusView(self._stage.bus)
+            # Under other settings nodes begin without shares, and perhaps with other neighbours.
+            self._ages = np.full(len(self._stage.heard), -1)
 
     def _drawn(self, number: int, state: np.ndarray, told: StepContent) -> StepFrame:
         stage = self._stage

@@ -198,5 +198,10 @@ def _settings(network: NetworkStatus, change: AnnouncedChange) -> tuple[NetworkS
     settings = {**network.settings, **{k: v for k, v in told.items() if k in SETTINGS}}
     rounds = int(settings.get("rounds", network.rounds))
     since = (change.step, int(change.facts["first_cycle"]), rounds)
-    text = "set " + ", ".join(f"{name} {value}" for name, value in told.items())
+    text = "set " + ", ".join(_told_setting(*setting) for setting in told.items())
     return network._replace(settings=settings, anchor=since), LogEntry(change.step, text)
+
+
+def _told_setting(name: str, value: object) -> str:
+    """Return a setting in words; of a graph the number of its links."""
+    return f"graph of {str(value).count(';') + 1} links" if name == "graph" else f"{name} {value}"

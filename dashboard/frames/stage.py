@@ -10,13 +10,13 @@ from enum import Enum
 from functools import cached_property
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import with_settings
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
@@ -128,16 +128,15 @@ def set_stage(setup: Setup) -> Stage:
         layout = _laid_out(setup.neighbours)
         track = set(_CAR_STATES) <= set(plant.state_names)
         picture, positions = PlantDrawing.TRACK if track else PlantDrawing.GRAPH, lambda _: layout
-    links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
-    directed = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
+    edges, heard = _links(setup)
     return Stage(
         setup=setup,
         bus=build_bus(setup),
         names=_names(setup, picture),
         state_names=tuple(plant.state_names),
         state_units=tuple(plant.state_units),
-        edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
-        heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
+        edges=edges,
+        heard=heard,
         score=definition.score,
         set_valued=is_set_valued(setup.scenario),
         picture=picture,
@@ -151,11 +150,19 @@ def restaged(
     stage: Stage, settings: dict[str, Any], first_step: int = 0, first_cycle: int = 0
 ) -> Stage:
     """Return the stage of a network whose settings have changed from a step on, which begins with
-    this cycle; all else stays."""
-    scenario, _ = stage.setup.scenario.with_known(**settings)
-    setup = msgspec.structs.replace(stage.setup, scenario=scenario)
-    bus = build_bus(setup, first_step, first_cycle)
-    return replace(stage, setup=setup, bus=bus, set_valued=is_set_valued(scenario))
+    this cycle; all else stays, also the places of nodes that were laid out by their graph."""
+    setup = with_settings(stage.setup, settings)
+    bus, (edges, heard) = build_bus(setup, first_step, first_cycle), _links(setup)
+    set_valued = is_set_valued(setup.scenario)
+    return replace(stage, setup=setup, bus=bus, edges=edges, heard=heard, set_valued=set_valued)
+
+
+def _links(setup: Setup) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the edges and who hears whom, as a `Stage` has them."""
+    heard = [(i, j) for i, neighbours in enumerate(setup.neighbours) for j in neighbours]
+    links = sorted({(min(link), max(link)) for link in heard})
+    edges, directed = (np.array(ends, dtype=np.int64).reshape(-1, 2) for ends in (links, heard))
+    return edges, directed
 
 
 def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:

@@ -35,7 +35,8 @@ def _speed(command: Mapping[str, Any], _: tuple[str, ...]) -> str:
 
 def _set(command: Mapping[str, Any], _: tuple[str, ...]) -> str:
     pairs = command["settings"].items()
-    return "set " + ", ".join(f"{name} to {value}" for name, value in pairs)
+    told = {name: "one with other links" if name == "graph" else value for name, value in pairs}
+    return "set " + ", ".join(f"{name} to {value}" for name, value in told.items())
 
 
 _WORDS: dict[str, Callable[[Mapping[str, Any], tuple[str, ...]], str]] = {

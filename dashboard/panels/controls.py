@@ -210,9 +210,11 @@ class Controls:
             self.node.show_selected(node)
 
     def set_stage(self, stage: Stage) -> None:
-        """Show the settings that the network has now."""
+        """Show the settings and the links that the network has now."""
         if self.network is not None:
             self.network.set_stage(stage)
+        if self.node is not None:
+            self.node.set_stage(stage)
 
     def close(self) -> None:
         """Drop the commands that wait."""

@@ -52,6 +52,11 @@ class NodeControls:
         peers = sorted({int(i) for edge in edges for i in edge if i != node})
         return tuple(self._stage.names[i] for i in peers) or ("-",)
 
+    def set_stage(self, stage: Stage) -> None:
+        """Offer the links that the network has now."""
+        self._stage = stage
+        self._inputs.show(self.peer, options=self._peers(stage.names.index(self.node.value)))
+
     def show_selected(self, node: int | None) -> None:
         """Let the dropdowns follow the selection when it changes."""
         if node is None or self._shown_node == node:

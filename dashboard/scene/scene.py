@@ -178,7 +178,7 @@ class Scene:
         self, view: View, frame: StepFrame, at: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Segments and colours of the links that are up, and the dashes of those that are cut."""
-        edges, theme = self._stage.edges, view.theme
+        edges, theme = frame.stage.edges, view.theme
         if not len(edges):
             return _NO_LINES, np.zeros((0, 2, 3), np.uint8), _NO_LINES
         ends = at[edges]
@@ -197,7 +197,7 @@ class Scene:
         return ends[up], painted, geometry.dashed(ends[frame.cut])
 
     def _sending_links(self, frame: StepFrame, at: np.ndarray, sender: int) -> np.ndarray:
-        edges = self._stage.edges
+        edges = frame.stage.edges
         if sender < 0 or not len(edges):
             return _NO_LINES
         hers = (edges == sender).any(1) & ~frame.cut & frame.alive[edges].all(1)

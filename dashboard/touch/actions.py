@@ -29,17 +29,14 @@ def is_cut(frame: StepFrame, ends: tuple[int, ...]) -> bool:
 
 
 def drawn_link(frame: StepFrame, ends: tuple[int, int]) -> str:
-    """Return the command for a link that a hand draws: it heals one that is cut, and cuts others.
-
-    Raises:
-        ValueError: the network has no such link, and no word for a new one.
-    """
+    """Return the command for a link that a hand draws: it cuts one that is up, heals one that is
+    cut, and gives the network one that it lacks."""
     stage = frame.stage
-    if not (np.sort(stage.edges, axis=1) == sorted(ends)).all(axis=1).any():
-        one, other = (stage.names[node] for node in ends)
-        raise ValueError(
-            f"a link between {one} and {other}: they are no neighbours, and a running network "
-            "takes no new link; start one whose --graph has the link, with "
-            f'--changes "0 cut {ends[0]} {ends[1]}", and draw it then'
-        )
-    return f"{'heal' if is_cut(frame, ends) else 'cut'} {ends[0]} {ends[1]}"
+    if ends[1] in stage.setup.neighbours[ends[0]] or ends[0] in stage.setup.neighbours[ends[1]]:
+        return f"{'heal' if is_cut(frame, ends) else 'cut'} {ends[0]} {ends[1]}"
+    # Only here: networkx and scipy take long to load.
+    from concord.topology.edge_text import edge_text
+
+    hears = np.zeros((stage.nodes, stage.nodes))
+    hears[tuple(stage.heard.T)] = hears[ends] = hears[ends[::-1]] = 1
+    return f"set graph={edge_text(hears)}"

@@ -1,6 +1,8 @@
 """Ghosts in the scene: changes that wait for the next step, and a link while a hand draws it."""
 
+import re
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from concord.dashboard.scene import geometry
 from concord.dashboard.scene.plants import add_lines, paint
 from concord.dashboard.theme import Theme
 
+_EDGE = re.compile(r"(\d+)[->](\d+)")
 _RING = np.linspace(0.0, 2 * np.pi, 33)
 
 
@@ -24,9 +27,14 @@ class PendingGhosts:
         self._shown: object = None
 
     def draw(
-        self, theme: Theme, at: np.ndarray, radius: float, waiting: Sequence[Mapping[str, Any]]
+        self,
+        theme: Theme,
+        at: np.ndarray,
+        radius: float,
+        edges: np.ndarray,
+        waiting: Sequence[Mapping[str, Any]],
     ) -> None:
-        """Show the commands that wait, where the nodes are at (N, 3)."""
+        """Show the commands that wait, where the nodes are at (N, 3) and have links (E, 2)."""
         shown = (theme.dark, at.round(2).tobytes(), str(waiting))
         if shown == self._shown:
             return
@@ -34,10 +42,9 @@ class PendingGhosts:
         for label in self._labels:
             label.remove()
         segments, self._labels = [], []
-        for number, command in enumerate(waiting):
-            nodes = nodes_of(command)
-            if not nodes:
-                continue
+        there = {*map(tuple, edges.tolist())}
+        told = [(command, nodes) for command in waiting for nodes in places_of(command, there)]
+        for number, (command, nodes) in enumerate(told):
             segments.append(_outline(at, radius, nodes))
             place = at[list(nodes[:2])].mean(axis=0)
             place[2] += 1.5 * radius
@@ -60,13 +67,23 @@ class PendingGhosts:
         self._drawing.visible = False
 
 
-def nodes_of(command: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return the node or the ends of the link that a command names; none for the whole network."""
+def places_of(
+    command: Mapping[str, Any], edges: AbstractSet[tuple[int, int]]
+) -> list[tuple[int, ...]]:
+    """Return the nodes and the ends of links that a command changes in a network of these `edges`;
+    none where it changes the whole network."""
     if "node" in command:
-        return (int(command["node"]),)
+        return [(int(command["node"]),)]
     if command.get("sender") is not None:
-        return int(command["sender"]), int(command["receiver"])
-    return tuple(map(int, command.get("nodes", ())))
+        return [(int(command["sender"]), int(command["receiver"]))]
+    if "graph" in command.get("settings", {}):
+        words = _EDGE.findall(str(command["settings"]["graph"]))
+        wanted = {
+            (min(ends), max(ends)) for one, other in words for ends in [(int(one), int(other))]
+        }
+        return sorted(wanted ^ edges)
+    nodes = tuple(map(int, command.get("nodes", ())))
+    return [nodes] if nodes else []
 
 
 def _outline(at: np.ndarray, radius: float, nodes: tuple[int, ...]) -> np.ndarray:

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import viser
 
-from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.inputs import at_once
 from concord.dashboard.panels.commands import Commands
 from concord.dashboard.scene.scene import Scene
@@ -26,6 +25,9 @@ _KEEPS_ITS_PLACE = (
     "a drag draws a link, and ends at another node; a node keeps its place, because the plant "
     "makes its readings from there"
 )
+
+
+_NO_EDGES = np.zeros((0, 2), dtype=np.int64)
 
 
 class Hand:
@@ -43,7 +45,9 @@ class Hand:
     def draw(self, theme: Theme, waiting: Sequence[dict[str, Any]]) -> None:
         """Show the commands that wait for the next step."""
         if self._scene.at is not None:
-            self.ghosts.draw(theme, self._scene.at, self._scene.radius, waiting)
+            frame = self._scene.frame
+            edges = _NO_EDGES if frame is None else frame.stage.edges
+            self.ghosts.draw(theme, self._scene.at, self._scene.radius, edges, waiting)
 
     def _picked(self, origin: Any, direction: np.ndarray) -> Picked | None:
         frame, at = self._scene.frame, self._scene.at
@@ -86,14 +90,4 @@ class Hand:
         if picked is None or len(picked.nodes) != 1:
             self._commands.tell(event.client, "Refused", _KEEPS_ITS_PLACE, True)
         elif picked.nodes[0] != node:
-            self._draw_link(frame, (node, picked.nodes[0]), event.client)
-
-    def _draw_link(
-        self, frame: StepFrame, ends: tuple[int, int], client: viser.ClientHandle
-    ) -> None:
-        try:
-            words = drawn_link(frame, ends)
-        except ValueError as refused:
-            self._commands.tell(client, "Refused", str(refused), True)
-            return
-        self._say(words, client)
+            self._say(drawn_link(frame, (node, picked.nodes[0])), event.client)

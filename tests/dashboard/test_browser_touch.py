@@ -142,11 +142,33 @@ def test_a_link_that_is_drawn_is_cut_and_healed_when_it_is_drawn_again(page: Pag
     assert not page.part("/pending/drawing")["shown"]
 
 
+def strangers(page: Page) -> tuple[int, int]:
+    """Return two nodes without a link that no panel covers."""
+    seen, neighbours = np.array(page.pixels(places(page))), page.dashboard.stage.setup.neighbours
+    inside = np.flatnonzero(np.all(np.abs(seen - [450, 240]) < [180, 190], axis=1)).tolist()
+    pairs = ((i, j) for i in inside for j in inside if i < j and j not in neighbours[i])
+    return next(pairs)
+
+
+def test_a_link_that_the_network_lacks_is_there_after_it_was_drawn(page: Page):
+    first, second = strangers(page)
+    drag(page, first, second)
+    page.until(lambda: "graph" in waiting(page))
+    page.until(lambda: page.part("/pending/lines")["shown"])
+    assert page.text("cut") == "0 / 8"
+    one_step(page)
+    page.until(lambda: page.text("cut") == "0 / 9")
+    assert second in page.dashboard.stage.setup.neighbours[first]
+    one_step(page)
+    drag(page, first, second)
+    page.until(lambda: "cut the link" in waiting(page))
+
+
 def test_the_session_is_a_script_that_can_be_copied(page: Page):
     page.page.get_by_role("tab", name="Log", exact=True).click()
     page.until(lambda: page.page.get_by_test_id("script").is_visible())
     script = page.text("script")
-    for words in (" kill ", " restart ", " cut ", " heal "):
+    for words in (" kill ", " restart ", " cut ", " heal ", " set graph=edges:"):
         assert words in script
     assert script.startswith('--changes "')
     page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.dashboard.touch.actions import actions, drawn_link
-from concord.dashboard.touch.ghosts import nodes_of
+from concord.dashboard.touch.ghosts import places_of
 from concord.dashboard.touch.picking import pick
 from concord.dashboard.touch.script import as_option, script_of
 from concord.nodes.commands import in_words
@@ -84,19 +84,25 @@ def test_each_action_is_a_command_about_what_was_touched(nodes: tuple[int, ...],
     assert labels in offered
     for words in offered.values():
         command = in_words(words.split())
-        assert set(nodes_of(msgspec.to_builtins(command))) == set(nodes)
+        assert [set(ends) for ends in places_of(msgspec.to_builtins(command), set())] == [{*nodes}]
 
 
-def test_a_drawn_link_cuts_or_heals_and_no_new_one_is_promised():
+def test_a_drawn_link_cuts_heals_or_is_a_new_one():
     assert drawn_link(FRAME, (2, 1)) == "heal 2 1"
     assert drawn_link(FRAME, (2, 3)) == "cut 2 3"
-    with pytest.raises(ValueError, match=r'no neighbours.* --changes "0 cut 0 4"'):
-        drawn_link(FRAME, (0, 4))
-
-
-def test_a_link_that_was_cut_at_the_first_step_can_be_drawn():
+    new = drawn_link(FRAME, (4, 0))
+    command = msgspec.to_builtins(in_words(new.split()))
+    edges = {*map(tuple, FRAME.stage.edges.tolist())}
+    # The ghost of what waits is the new link alone.
+    assert places_of(command, edges) == [(0, 4)]
     stage, messages = run_of(
-        "target-tracking", nodes=5, steps=3, graph="complete", changes=("0 cut 0 4",)
+        "target-tracking", nodes=8, steps=6, graph="ring", changes=(f"3 {new}",)
     )
-    first = frames_of(stage, messages)[0]
-    assert first.cut.sum() == 1 and drawn_link(first, (0, 4)) == "heal 0 4"
+    before, after = frames_of(stage, messages)[2:4]
+    assert {*map(tuple, before.stage.edges.tolist())} == edges
+    assert {*map(tuple, after.stage.edges.tolist())} == {*edges, (0, 4)}
+    assert drawn_link(after, (4, 0)) == "cut 4 0"
+    assert len(after.ages) == len(after.cut) * 2 == 18
+    assert {tuple(ends) for ends in after.stage.heard[after.ages == 0]} >= {(0, 4), (4, 0)}
+    (told,) = after.events
+    assert told.text == "set graph of 9 links" and f"3 {told.words}" == f"3 {new}"
