@@ -44,7 +44,7 @@ class Disturbances(NamedTuple):
                     return settled - REPEATED_CYCLES + (at - settled) % REPEATED_CYCLES - removed
                 if settled is not None and begin > settled:
                     removed += (begin - settled) // 2 * 2
-                settled = max(end, settled or 0)
+                settled = end if settled is None else max(end, settled)
             return at - removed
 
         return self.renumbered(number), number(cycle)

@@ -181,6 +181,22 @@ def test_cycles_in_which_nothing_changes_are_left_out(
     assert last - before.first_cycle <= len(changes) * (9000 / slew + 403)
 
 
+@given(DRIFTS, OUTAGES, st.integers(0, 10**6), st.integers(-(10**7), 0))
+def test_cycles_may_be_counted_from_later(
+    drifts: list[ClockDrift], outages: list[SyncOutage], cycle: int, half: int
+):
+    """A bus that begins anew counts cycles from there, and earlier ones below zero."""
+    assume(drifts or outages)
+    slew, disturbed = slew_ppm(clock_settings(DEMO, 4)), Disturbances(tuple(drifts), tuple(outages))
+
+    def earlier(at: int) -> int:
+        return at + 2 * half
+
+    moved, number = disturbed.without_rest(cycle, slew)
+    expected = moved.renumbered(earlier), earlier(number)
+    assert disturbed.renumbered(earlier).without_rest(earlier(cycle), slew) == expected
+
+
 def _changes(disturbed: Disturbances) -> list[int]:
     """Cycles in which something begins or ends."""
     found = [one.first_cycle for one in disturbed.drifts]
