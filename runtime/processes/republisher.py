@@ -63,7 +63,8 @@ class Republisher:
         self._links = threading.Lock()
         self._lost: set[str] = set()
         self._back: set[str] = set()
-        self._is_cut = False
+        # Since when the recorder is out of reach, if it is.
+        self._is_cut, self._cut_s = False, 0.0
         self._linked, self._ring = threading.Event(), threading.Event()
         self._closed = False
         self._thread = threading.Thread(target=self._look, daemon=True)
@@ -97,7 +98,8 @@ class Republisher:
                 self._lost.add(name)
                 if name == RECORDER:
                     self._linked.clear()
-                    self._is_cut = True
+                    if not self._is_cut:
+                        self._is_cut, self._cut_s = True, time.monotonic()
             is_back = is_there and name in self._lost
             if is_back:
                 self._lost.discard(name)
@@ -127,7 +129,8 @@ class Republisher:
                 with self._order:
                     self._repeat("", self._standing())
                 pause_s = min(2 * pause_s, _AT_MOST_S)
-            waited_s = time.monotonic() - since
+            # A process in real time may have nothing to say for long.
+            waited_s = time.monotonic() - (max(since, self._cut_s) if self._is_cut else since)
             if waited_s > (told + 1) * _TELL_S:
                 told += 1
                 self._tell(waited_s)

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -97,3 +98,35 @@ def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch
     speaker.begin()
     assert holds_within(20, lambda: ("gone", b"3") in transport.sent)
     speaker.close()
+
+
+def test_a_wait_for_the_recorder_is_as_long_as_its_link_is_away(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """An environment that had nothing to keep for 1036 s said to have waited so long."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(republisher, "_AT_MOST_S", 0.01)
+    monkeypatch.setattr(republisher, "_TELL_S", 0.2)
+    now_s = 1000.0
+    monkeypatch.setattr(republisher, "time", SimpleNamespace(monotonic=lambda: now_s))
+    transport = Standing()
+    transport.may.set()
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "the environment", "truth", 8, lambda: ""
+    )
+    speaker.begin()
+    speaker.say("event", b"a")
+    assert holds_within(20, lambda: ("again/event", b"a") in transport.sent)
+    now_s = 2036.0
+    speaker.see(RECORDER, False)
+    now_s = 2039.0
+    told = ""
+
+    def has_told() -> bool:
+        nonlocal told
+        told += capsys.readouterr().err
+        return bool(told)
+
+    assert holds_within(20, has_told)
+    speaker.close()
+    assert told.startswith("the environment has waited 3 s for the recorder")
