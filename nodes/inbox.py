@@ -31,7 +31,7 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     # Nothing changes while a step is under way: what holds now holds for this frame as well.
     is_settled = state.phase is not Phase.MEASUREMENT
     is_stranger = event.sender not in config.neighbours
-    if is_stranger and is_settled:
+    if is_stranger and (is_settled or not _may_be_neighbour(config, event.sender)):
         return count(state, "rejected stranger")
     try:
         fragment = _read(config, state.cycle, event.frame)
@@ -42,6 +42,11 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     if is_stranger:
         return count(state, "rejected stranger")
     return _file(config, state, event.sender, fragment, event.frame)
+
+
+def _may_be_neighbour(config: NodeConfig, sender: int) -> bool:
+    """Whether the next step may have a link from this sender."""
+    return 0 <= sender < config.schedule.nodes and sender != config.index
 
 
 def _keep_early(

@@ -165,6 +165,7 @@ def network(
         lead=lead,
         bus=bus,
         controller=controller,
+        neighbours=[node.neighbours for node in nodes],
     )
     return Network(environment, nodes)
 
