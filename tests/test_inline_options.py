@@ -38,8 +38,8 @@ def every_option() -> frozenset[str]:
 
 def _words_of(group: str) -> list[tuple[str, ...]]:
     module = __import__(f"concord.experiments.cli.{GROUPS[group][0]}", fromlist=["x"])
-    app = getattr(module, GROUPS[group][1])()
-    return [(name,) for name in app._subcommands]
+    commands = getattr(module, GROUPS[group][1])
+    return [(name,) for name in commands]
 
 
 def inline_code(page: Path) -> Iterator[str]:
