@@ -28,10 +28,6 @@ class BidClasses(Protocol):
         """Return the class of each bid (...) of a node that asked in vain `waits` (...) times."""
         ...
 
-    def spread(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the bids at these places (...) of their range, from 0 to 1."""
-        ...
-
 
 class ContendedBus:
     """A bus whose arbiter awards slots to the contenders of a schedule."""

@@ -13,6 +13,7 @@ import numpy as np
 from concord.bus.arbitration import begin_arbitration
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import UrgencyClasses
 from concord.experiments.results.bus_report import SentShares
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
@@ -107,6 +108,7 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
     classes = np.zeros_like(payload_bytes)
     asked = np.zeros((cycles, scenario.nodes), dtype=bool)
     state = begin_arbitration(scenario.nodes)
+    assert isinstance(bus.classes, UrgencyClasses), "a cluster of FlexRay has these"
     silent = [0] * scenario.nodes
     for cycle in range(cycles):
         contenders = sorted(schedule.contenders(cycle))
