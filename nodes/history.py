@@ -3,7 +3,12 @@
 It is read from the events of a recording.
 """
 
-from collections.abc import Container, Iterable
+from bisect import bisect_right
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
+from math import inf
 from typing import NamedTuple
 
 from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
@@ -29,12 +34,23 @@ class AbsentSteps(NamedTuple):
     end_step: int | None
 
 
-class History(NamedTuple):
+@dataclass(frozen=True)
+class History:
     """The epochs of a run in order, the absent nodes, and whether anything changed at all."""
 
     epochs: tuple[Epoch, ...]
     absent_steps: tuple[AbsentSteps, ...] = ()
     changed: bool = False
+
+    @cached_property
+    def _out(self) -> dict[int, tuple[list[int], list[float]]]:
+        """By node: the steps from which it is out, in order, and how far any up to each reaches."""
+        found: dict[int, tuple[list[int], list[float]]] = {}
+        for node, first, end in sorted(self.absent_steps, key=lambda one: one.first_step):
+            begins, reaches = found.setdefault(node, ([], []))
+            begins.append(first)
+            reaches.append(max([inf if end is None else end, *reaches[-1:]]))
+        return found
 
     @property
     def one_bus(self) -> bool:
@@ -50,12 +66,14 @@ class History(NamedTuple):
 
     def is_in(self, node: int, step: int) -> bool:
         """Whether a node takes part in a step."""
-        return not any(
-            absent.node == node
-            and absent.first_step <= step
-            and (absent.end_step is None or step < absent.end_step)
-            for absent in self.absent_steps
-        )
+        begins, reaches = self._out.get(node, ((), ()))
+        place = bisect_right(begins, step)
+        return place == 0 or reaches[place - 1] <= step
+
+    def since(self, step: int) -> "History":
+        """Return the history without those who were back before a step."""
+        lasting = (end is None or end > step for _, _, end in self.absent_steps)
+        return replace(self, absent_steps=tuple(compress(self.absent_steps, lasting)))
 
     def graph(self, step: int) -> str:
         """Return the graph of a step as `Epoch` has it."""
@@ -80,25 +98,40 @@ def with_event(history: History, event: Event) -> History:
     """The history that goes on with this."""
     step = event.step
     if not isinstance(event.change, PaceChange):
-        history = history._replace(changed=True)
+        history = replace(history, changed=True)
+    absent = history.absent_steps
     match event.change:
         case Set(settings, first_cycle):
             rounds = int(settings.get("rounds", history.epochs[-1].rounds))
             epoch = Epoch(step, first_cycle, rounds, str(settings.get("graph", "")))
-            return history._replace(epochs=(*history.epochs, epoch))
+            return replace(history, epochs=(*history.epochs, epoch))
         case Left(node) | Gone(node):
-            return history._replace(
-                absent_steps=(*history.absent_steps, AbsentSteps(node, step, None))
-            )
-        case Joined(node):
-            absent_steps = tuple(
-                absent._replace(end_step=step)
-                if absent.node == node and absent.end_step is None
-                else absent
-                for absent in history.absent_steps
-            )
-            return history._replace(absent_steps=absent_steps)
+            place = _open(absent, node)
+            since = AbsentSteps(node, step, None)
+            if place is not None:
+                since = min(since, absent[place], key=lambda one: one.first_step)
+            return replace(history, absent_steps=_with(absent, place, since))
+        case Joined(node) if (place := _open(absent, node)) is not None:
+            ended = absent[place]._replace(end_step=step)
+            return replace(history, absent_steps=_with(absent, place, ended))
     return history
+
+
+def _with(
+    absent_steps: tuple[AbsentSteps, ...], place: int | None, one: AbsentSteps
+) -> tuple[AbsentSteps, ...]:
+    """Return the steps of absent nodes with another one at a place; None is after all."""
+    if place is None:
+        return (*absent_steps, one)
+    return (*absent_steps[:place], one, *absent_steps[place + 1 :])
+
+
+def _open(absent_steps: Sequence[AbsentSteps], node: int) -> int | None:
+    """Return the place of a node that is out and has not returned; None if it takes part."""
+    for place in range(len(absent_steps) - 1, -1, -1):
+        if absent_steps[place].node == node:
+            return place if absent_steps[place].end_step is None else None
+    return None
 
 
 def with_holes(
@@ -115,7 +148,7 @@ def with_holes(
         for step in range(steps)
         if (step, node) not in recorded and history.is_in(node, step)
     )
-    return history._replace(absent_steps=history.absent_steps + holes)
+    return replace(history, absent_steps=history.absent_steps + holes)
 
 
 def without_lost_words(history: History, estimated: Container[tuple[int, int]]) -> History:
@@ -132,4 +165,4 @@ def without_lost_words(history: History, estimated: Container[tuple[int, int]]) 
                 break
             first -= 1
         absent_steps.append(absent._replace(first_step=first))
-    return history._replace(absent_steps=tuple(absent_steps))
+    return replace(history, absent_steps=tuple(absent_steps))

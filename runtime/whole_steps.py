@@ -142,17 +142,14 @@ class WholeSteps:
     def _hear(self, event: bytes) -> None:
         """Apply an event to the history, and to the steps that are under way."""
         with suppress(MalformedMessage):
-            self._history = with_event(self._history, decode("event", event))
+            history = with_event(self._history, decode("event", event))
+            # Nodes of an overloaded network are out and back all the time.
+            self._history = history.since(self._next)
         for number, step in self._steps.items():
             step.members = self._members(number)
 
     def _members(self, number: int) -> set[int]:
-        out = {
-            absent.node
-            for absent in self._history.absent_steps
-            if absent.first_step <= number and (absent.end_step is None or number < absent.end_step)
-        }
-        return set(self._everybody - out)
+        return {node for node in self._everybody if self._history.is_in(node, number)}
 
     def _over(self) -> list[WholeStep]:
         """The steps that are over, from the oldest on; one without a truth cannot be shown."""

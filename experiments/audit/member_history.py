@@ -1,6 +1,6 @@
 """MemberHistory and cycles of a run, counted from its recorded events."""
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -28,12 +28,14 @@ class MemberHistory(NamedTuple):
     def is_in(self, node: int, step: int) -> bool:
         """Whether the network had told that a node takes part in a step."""
         turns = self.turns.get(node, [])
-        last = bisect_right([turn.step for turn in turns], step) - 1
+        last = bisect_right(turns, step, key=_step_of) - 1
         return last < 0 or turns[last].is_in
 
     def joins_at(self, node: int, step: int) -> bool:
         """Whether a node is back from this step on, for however long."""
-        return any(turn.is_in and turn.step == step for turn in self.turns.get(node, ()))
+        turns = self.turns.get(node, [])
+        ends = (bisect(turns, step, key=_step_of) for bisect in (bisect_left, bisect_right))
+        return any(turn.is_in for turn in turns[slice(*ends)])
 
     def dies_in(self, node: int, step: int) -> bool:
         """Whether a node took part in a step from which it is out."""
@@ -42,8 +44,9 @@ class MemberHistory(NamedTuple):
 
     def left_at(self, node: int, step: int) -> int | None:
         """Return the first step after `step` from which a node is out; None for never."""
-        out = (turn.step for turn in self.turns.get(node, []) if not turn.is_in)
-        return next((first for first in out if first > step), None)
+        turns = self.turns.get(node, [])
+        later = turns[bisect_right(turns, step, key=_step_of) :]
+        return next((turn.step for turn in later if not turn.is_in), None)
 
     def step_of(self, cycle: int) -> int:
         """Return the step to which a cycle of rounds belongs."""
@@ -58,6 +61,10 @@ class MemberHistory(NamedTuple):
 
     def _epoch(self, number: int, place: int) -> tuple[int, int, int]:
         return [epoch for epoch in self.epochs if epoch[place] <= number][-1]
+
+
+def _step_of(turn: Turn) -> int:
+    return turn.step
 
 
 def member_history_of(rounds: int, events: Sequence[tuple[int, dict[str, Any]]]) -> MemberHistory:

@@ -237,3 +237,30 @@ def test_who_was_told_of_a_return_after_the_end_goes_on_when_told_of_the_end_aga
     assert state_machine.awaited_neighbours(config, state) == [0]
     state, messages = state_machine.step(config, state, Gone(0))
     assert [message.step for message in messages if isinstance(message, Estimate)] == [0]
+
+
+TURNS = st.lists(
+    st.tuples(st.integers(0, 2), st.sampled_from(["left", "gone", "joined"]), st.integers(-3, 4)),
+    max_size=30,
+)
+
+
+@given(TURNS, st.integers(0, 40))
+def test_members_are_those_that_left_and_did_not_return(turns: list, since: int):
+    """In real time a node may be given up from a step that is over."""
+    kinds, events, spans, step = {"left": Left, "gone": Gone, "joined": Joined}, [], [], 0
+    for node, kind, later in turns:
+        step = max(step + later, 0)
+        events.append(Event(step, kinds[kind](node)))
+        if kind != "joined":
+            spans.append([node, step, 99])
+        for span in spans if kind == "joined" else ():
+            if span[0] == node and span[2] == 99:
+                span[2] = step
+    history = history_of(3, events)
+    for node in range(3):
+        out = {at for one, first, end in spans if one == node for at in range(first, end)}
+        members = [at not in out for at in range(60)]
+        assert [history.is_in(node, at) for at in range(60)] == members
+        shorter = history.since(since)
+        assert [shorter.is_in(node, at) for at in range(since, 60)] == members[since:]
