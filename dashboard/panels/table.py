@@ -169,7 +169,8 @@ def status(
     failed += _waiting(waiting)
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
-    graph, rule = escape(scenario.network.graph), scenario.rule.name
+    graph, rule = scenario.network.graph, scenario.rule.name
+    graph = f"{len(stage.edges)} links" if graph.startswith("edges:") else escape(graph)
     rounds = f"{scenario.rounds} round{'s' * (scenario.rounds != 1)}"
     about = f"{name}, {graph}, {rule}, {rounds}"
     return (

@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.dashboard.panels.table import status
+from concord.dashboard.theme import DARK
 from concord.dashboard.touch.actions import actions, drawn_link
 from concord.dashboard.touch.ghosts import places_of
 from concord.dashboard.touch.picking import pick
@@ -104,5 +106,6 @@ def test_a_drawn_link_cuts_heals_or_is_a_new_one():
     assert drawn_link(after, (4, 0)) == "cut 4 0"
     assert len(after.ages) == len(after.cut) * 2 == 18
     assert {tuple(ends) for ends in after.stage.heard[after.ages == 0]} >= {(0, 4), (4, 0)}
+    assert "target-tracking, 9 links, ci" in status(after.stage, DARK, after, "PAUSED")
     (told,) = after.events
     assert told.text == "set graph of 9 links" and f"3 {told.words}" == f"3 {new}"
