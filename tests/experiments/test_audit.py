@@ -13,6 +13,7 @@ from concord.experiments.audit.report import audit
 from concord.experiments.cli.command_line import main
 from concord.experiments.results.folder import ARRAYS, RECORDING, describe, write_arrays
 from concord.experiments.results.trace import read_trace
+from concord.nodes.messages import Timing, encode
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.types.frame_formats import frame_format
@@ -176,6 +177,23 @@ def test_estimates_that_were_lost_with_their_process_break_no_promise(tmp_path: 
         finding.note for promise, finding in audit(folder).findings if "has an" in promise.says
     ]
     assert notes == ["1 lost with their process"]
+
+
+@pytest.mark.parametrize("in_real_time", [False, True])
+def test_a_node_may_join_with_an_estimate_that_only_the_clock_let_go(
+    tmp_path: Path, in_real_time: bool
+):
+    """In real time the recorder may lose an estimate that the environment has heard."""
+    says = "a node that joins begins with a node's estimate"
+    heard = {place(f"estimate/{node}", step=5) for node in (1, 3)}
+    timing = ("timing/1", encode(Timing(1, 4, 0.0, [0.0], 0, 0)))
+    clock = [timing] if in_real_time else []
+    lost = [one for number, one in enumerate(MESSAGES) if number not in heard]
+    found = audit(write(tmp_path, [*lost, *clock]))
+    (joins,) = [finding for promise, finding in found.findings if promise.says == says]
+    assert (joins.broken, joins.note) == ((0, "1 estimates not recorded") if clock else (1, ""))
+    forged = edited(place("event", step=6), _other_belief)
+    assert says in broken(write(tmp_path, [*forged, *clock]))
 
 
 def test_a_wild_jump_after_an_event_is_marked(tmp_path: Path, capsys):
