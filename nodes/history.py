@@ -7,7 +7,6 @@ from bisect import bisect_right
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
 from math import inf
 from typing import NamedTuple
 
@@ -72,8 +71,8 @@ class History:
 
     def since(self, step: int) -> "History":
         """Return the history without those who were back before a step."""
-        lasting = (end is None or end > step for _, _, end in self.absent_steps)
-        return replace(self, absent_steps=tuple(compress(self.absent_steps, lasting)))
+        lasting = (one for one in self.absent_steps if one.end_step is None or one.end_step > step)
+        return replace(self, absent_steps=tuple(lasting))
 
     def graph(self, step: int) -> str:
         """Return the graph of a step as `Epoch` has it."""

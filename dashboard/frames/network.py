@@ -198,10 +198,10 @@ def _settings(network: NetworkStatus, change: AnnouncedChange) -> tuple[NetworkS
     settings = {**network.settings, **{k: v for k, v in told.items() if k in SETTINGS}}
     rounds = int(settings.get("rounds", network.rounds))
     since = (change.step, int(change.facts["first_cycle"]), rounds)
-    text = "set " + ", ".join(_told_setting(*setting) for setting in told.items())
+    text = "set " + ", ".join(f"{k} {value_in_words(k, v)}" for k, v in told.items())
     return network._replace(settings=settings, anchor=since), LogEntry(change.step, text)
 
 
-def _told_setting(name: str, value: object) -> str:
-    """Return a setting in words; of a graph the number of its links."""
-    return f"graph of {str(value).count(';') + 1} links" if name == "graph" else f"{name} {value}"
+def value_in_words(name: str, value: object) -> object:
+    """Return the value of a setting as a person says it: of a graph the number of its links."""
+    return f"one of {str(value).count(';') + 1} links" if name == "graph" else value

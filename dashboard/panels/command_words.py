@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from concord.dashboard.frames.network import value_in_words
 from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
 
 
@@ -35,8 +36,7 @@ def _speed(command: Mapping[str, Any], _: tuple[str, ...]) -> str:
 
 def _set(command: Mapping[str, Any], _: tuple[str, ...]) -> str:
     pairs = command["settings"].items()
-    told = {name: "one with other links" if name == "graph" else value for name, value in pairs}
-    return "set " + ", ".join(f"{name} to {value}" for name, value in told.items())
+    return "set " + ", ".join(f"{name} to {value_in_words(name, value)}" for name, value in pairs)
 
 
 _WORDS: dict[str, Callable[[Mapping[str, Any], tuple[str, ...]], str]] = {

@@ -1,6 +1,5 @@
 """Ghosts in the scene: changes that wait for the next step, and a link while a hand draws it."""
 
-import re
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
@@ -12,7 +11,6 @@ from concord.dashboard.scene import geometry
 from concord.dashboard.scene.plants import add_lines, paint
 from concord.dashboard.theme import Theme
 
-_EDGE = re.compile(r"(\d+)[->](\d+)")
 _RING = np.linspace(0.0, 2 * np.pi, 33)
 
 
@@ -77,11 +75,12 @@ def places_of(
     if command.get("sender") is not None:
         return [(int(command["sender"]), int(command["receiver"]))]
     if "graph" in command.get("settings", {}):
-        words = _EDGE.findall(str(command["settings"]["graph"]))
-        wanted = {
-            (min(ends), max(ends)) for one, other in words for ends in [(int(one), int(other))]
-        }
-        return sorted(wanted ^ edges)
+        # Only here: networkx and scipy take long to load.
+        from concord.topology.edge_text import read_edge_text
+
+        graph = read_edge_text(command["settings"]["graph"].removeprefix("edges:"), None)
+        wanted = np.sort(np.stack(graph.nonzero(), axis=1), axis=1).tolist()
+        return sorted({*map(tuple, wanted)} ^ edges)
     nodes = tuple(map(int, command.get("nodes", ())))
     return [nodes] if nodes else []
 

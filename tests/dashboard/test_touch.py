@@ -108,4 +108,4 @@ def test_a_drawn_link_cuts_heals_or_is_a_new_one():
     assert {tuple(ends) for ends in after.stage.heard[after.ages == 0]} >= {(0, 4), (4, 0)}
     assert "target-tracking, 9 links, ci" in status(after.stage, DARK, after, "PAUSED")
     (told,) = after.events
-    assert told.text == "set graph of 9 links" and f"3 {told.words}" == f"3 {new}"
+    assert told.text == "set graph one of 9 links" and f"3 {told.words}" == f"3 {new}"

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -24,15 +25,25 @@ class Standing:
         self.sent.append((topic, data))
 
 
+def of_node(transport: Standing) -> republisher.Republisher:
+    return republisher.Republisher(cast(Transport, transport), "node 0", "estimate", 8, lambda: "")
+
+
+def of_environment(
+    transport: Standing, standing: Callable[[], list[tuple[str, bytes]]] = list
+) -> republisher.Republisher:
+    return republisher.Republisher(
+        cast(Transport, transport), "the environment", "truth", 8, lambda: "", standing
+    )
+
+
 def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """That thread is the one that sends: zenoh has no other."""
     monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
     transport = Standing()
-    speaker = republisher.Republisher(
-        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
-    )
+    speaker = of_node(transport)
     speaker.begin()
     speaking = threading.Thread(target=speaker.say, args=("share/0", b"a"))
     speaking.start()
@@ -50,9 +61,7 @@ def test_who_sees_links_break_never_waits_for_one_that_stands_still(
 
 def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
     """A process that confused the two cases sent its hello twice and then stood still."""
-    speaker = republisher.Republisher(
-        cast(Transport, Standing()), "node 0", "estimate", 8, lambda: ""
-    )
+    speaker = of_node(Standing())
     assert not speaker.see(ENVIRONMENT, True)
     assert not speaker.see(ENVIRONMENT, False)
     assert speaker.see(ENVIRONMENT, True)
@@ -62,9 +71,7 @@ def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
     transport = Standing()
     transport.may.set()
-    speaker = republisher.Republisher(
-        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
-    )
+    speaker = of_node(transport)
     speaker.begin()
     speaker.say("share/0", b"a")
     speaker.see(RECORDER, False)
@@ -87,14 +94,7 @@ def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
     transport = Standing()
     transport.may.set()
-    speaker = republisher.Republisher(
-        cast(Transport, transport),
-        "the environment",
-        "truth",
-        8,
-        lambda: "",
-        lambda: [("gone", b"3")],
-    )
+    speaker = of_environment(transport, lambda: [("gone", b"3")])
     speaker.begin()
     assert holds_within(20, lambda: ("gone", b"3") in transport.sent)
     speaker.close()
@@ -111,9 +111,7 @@ def test_a_wait_for_the_recorder_is_as_long_as_its_link_is_away(
     monkeypatch.setattr(republisher, "time", SimpleNamespace(monotonic=lambda: now_s))
     transport = Standing()
     transport.may.set()
-    speaker = republisher.Republisher(
-        cast(Transport, transport), "the environment", "truth", 8, lambda: ""
-    )
+    speaker = of_environment(transport)
     speaker.begin()
     speaker.say("event", b"a")
     assert holds_within(20, lambda: ("again/event", b"a") in transport.sent)

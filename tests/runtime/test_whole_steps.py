@@ -178,8 +178,8 @@ def test_every_step_of_a_slow_network_is_offered(hurries: list[float]):
 
 
 def test_departures_that_are_over_are_forgotten():
-    """In twenty minutes of an overloaded network 5345 nodes left and returned. The recorder looked
-    at all of them with every event, until it kept up no more."""
+    """In nineteen minutes of overload nodes left 5345 times. The recorder looked at all of these
+    with every event, until it kept up no more."""
     together = WholeSteps(NODES, ROUNDS, SHARE_FRAMES, longest_wait_steps=8)
     for step in range(1000):
         node = step // 2 % NODES
