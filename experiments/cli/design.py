@@ -209,9 +209,10 @@ def _age(attempt: Attempt) -> list[str]:
     """The age of information, with its bound."""
     if attempt.age is None:
         return []
-    bound, observed, why = attempt.age
+    bound, observed, why, lost = attempt.age
     if bound is None:
         limit = f"no bound, since {why}"
     else:
-        limit = f"at most {bound} steps by schedule and graph" + (f" ({why})" if why else "")
-    return [f"age of information: {limit}; observed: at most {observed} steps"]
+        limit = f"at most {bound} steps" + (f", since {why}" if why else " by schedule and graph")
+    never = f"; {100 * lost:.2g} % of the records never came to a node" if lost else ""
+    return [f"age of information: {limit}; observed: at most {observed} steps{never}"]

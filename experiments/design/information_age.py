@@ -13,11 +13,12 @@ from concord.bus.information_age import (
     worst_contended_age_steps,
 )
 from concord.experiments.design.search import FRESH_RUN
+from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.run_figures import kept
 from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.record_spread import RecordSpread, record_ages
+from concord.experiments.results.record_spread import RecordSpread, in_time, record_ages
 from concord.scenarios.build import build_bus
-from concord.scenarios.labelled import window_of
+from concord.scenarios.labelled import flooding_of, window_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.setup import Setup
@@ -33,12 +34,15 @@ class InformationAge(NamedTuple):
 
     `bound_steps` follows from schedule, graph and arbiter, and `why` says from what more; None
     where there is no bound, and then `why` is the reason. `observed_steps` is the greatest of a few
-    runs.
+    runs. Where a rule floods records, a record that outlives its window on the way is lost, and
+    neither figure counts it. `lost` is the part of (record, other node) pairs in which that
+    happened; None where it is not known.
     """
 
     bound_steps: int | None
     observed_steps: int
     why: str = ""
+    lost: float | None = None
 
 
 def information_age(scenario: Scenario) -> InformationAge | None:
@@ -46,24 +50,41 @@ def information_age(scenario: Scenario) -> InformationAge | None:
     lose the frames of a rule that averages."""
     if scenario.changes:
         return None
-    setup, loses = prepare(scenario), lossy_links(scenario)
-    schedule = build_bus(setup).schedule
+    setup = prepare(scenario)
     bound, why = _bound(setup)
     histories = simulate(setup, range(FRESH_RUN, FRESH_RUN + _RUNS))
-    if histories.spreads:
-        return InformationAge(bound, max(map(_record_lag, histories.spreads)), why)
-    if loses:
+    spreads, lost = histories.spreads, None
+    if spreads:
+        observed = max(map(record_lag_steps, spreads))
+        arrived = np.concatenate([in_time(one) for one in spreads])
+        lost = 1 - float(arrived.mean()) if arrived.size else None
+    elif lossy_links(scenario):
         return None
+    else:
+        observed = _share_lag_steps(setup, histories)
+    if isinstance(scenario.rule, FloodingRule):
+        # A lag grows by one a step, so the greatest one passes the window's last step on its way.
+        window = window_of(scenario, setup.neighbours)
+        observed = min(observed, window - 1)
+        if bound is None or bound >= window:
+            alone = f"any age: {why}" if bound is None else f"{bound} steps"
+            why = f"a record that leaves its window of {window} steps is lost"
+            bound, why = window - 1, f"{why} (schedule and graph allow {alone})"
+    return InformationAge(bound, observed, why, lost)
+
+
+def _share_lag_steps(setup: Setup, histories: Histories) -> int:
+    """Return for how many steps a node has lacked readings whose shares could have reached it."""
+    schedule, rounds = build_bus(setup).schedule, setup.scenario.rounds
     readings, _ = kept(histories)
     observed = 0
     for sent, read in zip(histories.payload_bytes > 0, ~np.isnan(readings), strict=True):
         cycles, taken = sent.reshape(-1, schedule.nodes), read.any(axis=(-1, -2))
         ages = greatest_ages_steps(
-            schedule, setup.neighbours, scenario.rounds, len(taken), cycles.__getitem__,
-            taken.__getitem__,
-        )  # fmt: skip
+            schedule, setup.neighbours, rounds, len(taken), cycles.__getitem__, taken.__getitem__
+        )
         observed = max(observed, int(ages.max()))
-    return InformationAge(bound, observed, why)
+    return observed
 
 
 def _bound(setup: Setup) -> tuple[int | None, str]:
@@ -71,8 +92,11 @@ def _bound(setup: Setup) -> tuple[int | None, str]:
     there is none."""
     scenario, bus = setup.scenario, build_bus(setup)
     schedule, contention = bus.schedule, scenario.bus.schedule
+    floods = isinstance(scenario.rule, FloodingRule)
     if lossy_links(scenario):
         return None, "links lose frames"
+    if floods and flooding_of(scenario).withhold_below > 0:
+        return None, "a node withholds readings (--withhold-below)"
     if not any(schedule.contenders(cycle) for cycle in range(schedule.period)):
         worst = worst_age_steps(schedule, setup.neighbours, scenario.rounds)
         return worst, "" if worst is not None else _APART
@@ -81,23 +105,17 @@ def _bound(setup: Setup) -> tuple[int | None, str]:
     wait = bus.longest_wait if isinstance(bus, ContendedBus) else None
     if wait is None:
         return None, f"a node may lose every contest with --arbiter {arbiter_of(contention)}"
-    floods = isinstance(scenario.rule, FloodingRule)
     if floods:
         # A node without news does not ask.
         wait = wait._replace(next_cycles=wait.first_cycles)
     worst = worst_contended_age_steps(schedule, setup.neighbours, scenario.rounds, wait)
     if worst is None:
         return None, _APART
-    why = f"a contender wins once in {wait.next_cycles} cycles at least"
-    window = window_of(scenario, setup.neighbours) if floods else worst + 1
-    if worst >= window:
-        late = f"a record may then be {worst} steps old, and a window holds {window} steps"
-        return None, f"{why}; {late}"
-    return worst, why
+    return worst, f"a contender wins once in {wait.next_cycles} cycles at least"
 
 
-def _record_lag(spread: RecordSpread) -> int:
-    """For how many steps a node has lacked records that their source held."""
+def record_lag_steps(spread: RecordSpread) -> int:
+    """Return for how many steps a node has lacked records that their source held."""
     ages = record_ages(spread).swapaxes(0, 1)
     newest = np.where(ages < 0, -1, np.arange(len(ages))[:, None, None] - ages)
     first = first_newer(newest.diagonal(axis1=1, axis2=2))

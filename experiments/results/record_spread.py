@@ -118,15 +118,12 @@ def figures_of(spread: RecordSpread) -> SpreadFigures:
     """Return the figures of a run with at least one share."""
     steps, nodes = spread.taken.shape
     others = np.broadcast_to(~np.eye(nodes, dtype=bool)[:, None, :], spread.arrival_steps.shape)
-    over = np.arange(steps) + spread.window_steps <= steps
-    counted = others & (spread.taken & over[:, None])
     came = spread.arrival_steps >= 0
     delay = spread.arrival_steps - np.arange(steps)[:, None]
-    in_time = came & (delay < spread.window_steps)
     ages = record_ages(spread)
     sent = max(spread.shares, 1)
     return SpreadFigures(
-        coverage=_mean(in_time[counted]),
+        coverage=_mean(in_time(spread)),
         delay_steps_mean=_mean(delay[others & came]),
         delay_steps_max=int(delay[others & came].max(initial=0)),
         age_steps_mean=_mean(ages[others & (ages >= 0)]),
@@ -139,6 +136,17 @@ def figures_of(spread: RecordSpread) -> SpreadFigures:
         records_per_share=spread.records / sent,
         body_bytes_per_step=float(spread.body_bytes.mean()),
     )
+
+
+def in_time(spread: RecordSpread) -> np.ndarray:
+    """Return whether a record came to another node within its window (pairs,), for each pair of
+    another node and a record whose window has passed."""
+    steps, nodes = spread.taken.shape
+    others = ~np.eye(nodes, dtype=bool)[:, None, :]
+    over = np.arange(steps) + spread.window_steps <= steps
+    delay = spread.arrival_steps - np.arange(steps)[:, None]
+    came = (spread.arrival_steps >= 0) & (delay < spread.window_steps)
+    return came[others & (spread.taken & over[:, None])]
 
 
 def _mean(values: np.ndarray) -> float:

@@ -1,8 +1,14 @@
 """How records spread, against what the nodes themselves hold at the end."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
+from concord.bus.information_age import worst_contended_age_steps
+from concord.bus.longest_wait import LongestWait
+from concord.bus.schedule import dynamic_only
+from concord.experiments.design.information_age import record_lag_steps
 from concord.experiments.results.record_spread import NEVER, RecordSpread, figures_of
 from concord.experiments.results.record_spread import lines as words_of
 from concord.experiments.results.summary import summarise
@@ -55,6 +61,56 @@ def test_figures_of_a_spread_that_is_known():
     assert np.isnan(figures.age_steps_by_source[1])
     assert (figures.checkpoint_share, figures.records_per_share) == (0.25, 0.5)
     assert figures.body_bytes_per_step == 25.0
+
+
+NODES, STEPS, PATH = 3, 9, [[1], [0, 2], [1]]
+
+
+def spread_of(winners: tuple[int, ...], window: int) -> RecordSpread:
+    """Return the records of a path of three nodes: the winner of a step sends all that it holds,
+    and a node takes no record that is as old as the window is long."""
+    arrival = np.full((NODES, STEPS, NODES), NEVER)
+    held: list[set[tuple[int, int]]] = [set() for _ in range(NODES)]
+    for step, winner in enumerate(winners):
+        for node in range(NODES):
+            held[node].add((step, node))
+        for node in PATH[winner]:
+            held[node] |= {one for one in held[winner] if step - one[0] < window}
+        for node in range(NODES):
+            for taken, source in held[node]:
+                if arrival[node, taken, source] == NEVER:
+                    arrival[node, taken, source] = step
+    return RecordSpread(
+        np.ones((STEPS, NODES), dtype=bool), arrival, window, np.zeros(STEPS), STEPS, 0, 0
+    )
+
+
+def longest_gap(winners: tuple[int, ...], node: int) -> int:
+    sends = [-1, *(step for step, one in enumerate(winners) if one == node), STEPS]
+    return int(np.diff(sends).max())
+
+
+def test_over_all_winners_a_record_comes_within_its_window_or_counts_as_lost():
+    """A tiny network, every sequence of winners: the ages of records, with and without a wait that
+    is bounded."""
+    window, wait = 3, LongestWait(4, 4)
+    bound = worst_contended_age_steps(dynamic_only(NODES, 1 / NODES), PATH, 1, wait)
+    assert bound == 7
+    within, served, complete = [], [], []
+    for winners in product(range(NODES), repeat=STEPS):
+        narrow = spread_of(winners, window)
+        within.append(min(record_lag_steps(narrow), window - 1))
+        delays = narrow.arrival_steps - np.arange(STEPS)[:, None]
+        assert delays[narrow.arrival_steps != NEVER].max() < window
+        if max(longest_gap(winners, node) for node in range(NODES)) <= wait.first_cycles:
+            wide = spread_of(winners, bound + 1)
+            served.append(record_lag_steps(wide))
+            complete.append(figures_of(wide).coverage)
+    # The bound by the window is exact.
+    assert max(within) == window - 1
+    # Where no node waits for longer, a window that is longer than the bound loses nothing.
+    assert bound - 1 <= max(served) <= bound
+    assert min(complete) == 1.0
 
 
 @pytest.mark.parametrize(
