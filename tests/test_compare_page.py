@@ -68,8 +68,12 @@ def test_the_commands_of_the_table_of_numbers_send_its_bytes(
             sent = data.bytes_per_step.mean("run")
             for row, shown in rows.items():
                 asked = dict(zip(("rule", "schedule", "rounds", "number"), row, strict=True))
-                usual = {"rounds": "3", "number": "int16" if row[0] == "labelled" else "float64"}
-                said = {name: options.get(f"--{name}", usual.get(name, "")) for name in asked}
+                flags = {"number": "record-number"} if row[0] == "labelled" else {}
+                usual = {"rounds": "3", "number": "float64"}
+                said = {
+                    name: options.get(f"--{flags.get(name, name)}", usual.get(name, ""))
+                    for name in asked
+                }
                 if not all(asked[name] in said[name].split(",") for name in asked):
                     continue
                 place = {
