@@ -6,6 +6,9 @@ body hold without tyres: v_y' = a_y - r v_x. The smoother here integrates them. 
 believes only that they err by `TYRE_ERROR` for `TYRE_ERROR_S`, and that their compliance is off by
 an unknown factor. That ties the slow part down, which integration loses.
 
+Beside a slip sensor the reference only tells whether the drive changes its side slip fast enough.
+Then tyres that fit the drive badly do not count as a slow drive.
+
 Source: Farrelly and Wellstead (1996), Estimation of vehicle lateral velocity, for the two models.
 """
 
@@ -20,7 +23,7 @@ from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import backward_affine, smooth
 from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, interpolated
-from concord.plants.vehicle.corrections import stamped, with_true_wheels
+from concord.plants.vehicle.corrections import corrected, stamped, with_true_wheels
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import even_drive
 from concord.plants.vehicle.model import MIN_SPEED_M_S, Tyre, single_track
@@ -79,6 +82,7 @@ def slip_reference(
     if min(len(turning.values), len(accelerated.values)) < _LEAST_READINGS:
         return None
     sheets = tyres.car.sensors
+    centred = corrected(channels, sheets).get("side_slip", ChannelReadings(*np.empty((2, 0))))
     channels = stamped(with_true_wheels(channels, sheets), sheets)
     start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
     drive = even_drive(channels, MODEL_STEP_S)
@@ -93,15 +97,19 @@ def slip_reference(
     yaw_rate, lateral = np.nan_to_num(yaw_rate), np.nan_to_num(lateral)
     speed = np.maximum(_smooth(drive.speed_m_s, drive.time_step_s), MIN_SPEED_M_S)
     slip, rear = _of_tyres(drive, yaw_rate, tyres, tyre)
+    if logged := len(centred.values) > 0:
+        at_rear = interpolated(centred, grid) - tyres.car.rear_axle_m * yaw_rate / speed
+        rear = _smooth(np.where(np.isfinite(at_rear), at_rear, rear), drive.time_step_s)
     noise = np.hypot(_drift(accelerated), np.median(speed) * _drift(turning))
     drift = np.where(known, noise, _BLIND_M_S)
     arm = sheets.accelerometer_ahead_m * yaw_rate
     driven = _Driven(
         drive.time_step_s, drift, lateral, yaw_rate * speed, slip * speed + arm, rear * speed
     )
-    mean = _smoothed(driven, TYRE_ERROR * _rms(driven.rear)).states.mean
-    left = driven.level - mean[:, 0] + mean[:, _COMPLIANCE] * driven.rear
-    found = _smoothed(driven, _rms(left))
+    believed = TYRE_ERROR * _rms(driven.rear)
+    mean = _smoothed(driven, believed).states.mean
+    left = _rms(driven.level - mean[:, 0] + mean[:, _COMPLIANCE] * driven.rear)
+    found = _smoothed(driven, min(left, believed) if logged else left)
     mean, cov = found.states
     told = float(np.sqrt(cov[-1, _COMPLIANCE, _COMPLIANCE])) / _PRIOR_STD[_COMPLIANCE]
     return SlipReference(

@@ -13,6 +13,7 @@ from concord.plants.vehicle.parameters import Car, SensorSheet
 
 _ARM = ("sensors", "accelerometer_ahead_m")
 _TURNING = ("yaw_rate", "lateral_acceleration", "steering", "side_slip")
+_SLIP_LATE = ("sensors", "side_slip", "delay_s")
 HIDDEN = (
     _ARM,
     ("sensors", "slip_sensor_ahead_m"),
@@ -28,13 +29,14 @@ HIDDEN = (
 STEADY = (
     *HIDDEN,
     *(("sensors", name, "offset") for name in _TURNING),
+    _SLIP_LATE,
 )
-"""These take errors of the tyres as well, where a drive is a row of steady states."""
+"""These take errors of the tyres as well, where a drive is a row of steady states. A delay is an
+offset there: the side slip of a steady ramp grows evenly."""
 SMALL = 0.1
 """Of an error of the reference: noise that is found grows with the square of a whole one."""
 _TELLING = ("side_slip", "course")
 _LATE = ("sensors", "lateral_acceleration", "delay_s")
-_SLIP_LATE = ("sensors", "side_slip", "delay_s")
 
 
 class Heard(NamedTuple):
@@ -62,8 +64,9 @@ class Heard(NamedTuple):
 def tells_slip(channels: Mapping[str, ChannelReadings], reference: SlipReference | None) -> bool:
     """Whether the drive tells its side slip, and the tyres by it.
 
-    A reference decides where there is one, also beside a slip sensor: a drive too slow for it shows
-    one steady state after another, and nothing of how the errors of the tyres move.
+    A reference decides where there is one, also beside a slip sensor (`slip_reference`): a drive
+    too slow for it shows one steady state after another, and nothing of how the errors of the tyres
+    move.
     """
     if reference is None:
         return any(is_logged(channels, name) for name in _TELLING)

@@ -111,17 +111,6 @@ def test_the_verdict_names_it_and_identify_finds_it(cause: str, tmp_path: Path, 
     assert found_right.anees.low < 1 < found_right.anees.high
 
 
-def test_no_number_is_given_for_a_value_that_identify_leaves_to_the_file(tmp_path: Path):
-    """A drive of steady states: `identify` left the noise, and the verdict gave it an interval."""
-    file = with_sheets(("lateral_acceleration",), noise=1.0)
-    write_drive(tmp_path, simulated_log(TRUE, SECONDS, 2004)[0], file)
-    said = judged_log(tmp_path).sentence
-    assert (
-        "noise of lateral acceleration explains most, but a drive that changes its side slip so "
-        "slowly does not tell it"
-    ) in said
-
-
 def test_nothing_is_named_where_the_file_is_right():
     """Of five logs; the threshold allows one in a hundred."""
     named = []

@@ -77,6 +77,16 @@ def test_the_reference_knows_that_it_cannot_see_a_slow_drive():
     assert np.mean(error**2) < 4 * np.mean(found.std_rad**2)
 
 
+@pytest.mark.parametrize("seed", [2004, 2018])
+def test_tyres_that_fit_badly_are_no_slow_drive_where_the_slip_is_logged(seed: int):
+    """Output error made the tyres of these drives two and three times too stiff: `told` was 0.69
+    and 0.58, and `identify` left most values to the file."""
+    channels = channels_of(simulated_log(TRUE, 8.0, seed)[0])
+    tyres = identify(even_drive(channels, 0.005), FILE)
+    found = slip_reference(channels, tyres, tanh_tyre)
+    assert found is not None and found.told < 0.4
+
+
 def test_what_no_reading_tells_is_left_to_the_file():
     car = data_sheet(TRUE_CARS["ford-escort"])
     drive = drives("ford-escort", "step-steer", 1)[1]
@@ -101,7 +111,8 @@ def test_what_no_reading_tells_is_left_to_the_file():
     steady = {one.name for one in every} - {one.name for one in as_heard(with_slip, untold).sought}
     turning = ("yaw rate", "lateral acceleration", "steering", "side slip")
     offsets = {f"offset of {name}" for name in turning}
-    assert steady == left | offsets | {"slip sensor ahead of the centre"}
+    late = "delay of side slip"
+    assert steady == left | offsets | {"slip sensor ahead of the centre", late}
     assert as_heard(with_slip, untold._replace(told=0.1)) is with_slip
 
 
@@ -161,6 +172,20 @@ def test_a_verdict_on_a_slow_drive_says_nothing_of_a_slip_that_it_does_not_tell(
     assert said.endswith("; this drive does not tell how far the side slip errs")
 
 
+def test_no_number_is_given_for_a_value_that_identify_leaves_to_the_file(tmp_path: Path):
+    """A drive of steady states: `identify` left the noise, and the verdict gave it an interval."""
+    file = data_sheet(TRUE_CARS["ford-escort"])
+    sheet = replace(file.sensors.lateral_acceleration, noise=3.0)
+    driver = replace(file.process_noise, steering_rad=0.0025)
+    sensors = replace(file.sensors, lateral_acceleration=sheet)
+    file = replace(file, sensors=sensors, process_noise=driver)
+    said = verdict_of(tmp_path / "logged", drives("ford-escort", "ramp-steer", 21)[1], file)
+    assert (
+        "noise of lateral acceleration explains most, but a drive that changes its side slip so "
+        "slowly does not tell it"
+    ) in said
+
+
 def identified(
     file: Car, drive: Drive, folder: Path, capsys: pytest.CaptureFixture[str], *words: str
 ) -> tuple[dict[str, Any], Car]:
@@ -213,6 +238,8 @@ def test_a_drive_that_does_not_tell_the_slip_leaves_the_tyres_of_the_file(
     # A slip sensor shows by how much the tyres of the file err.
     assert noise.side_slip_rad == kept.side_slip_rad if blind else noise.side_slip_rad > 0.015
     assert after.sensors.slip_sensor_ahead_m == 0.0
+    # The side slip of a ramp grows evenly: the fit found -0.082 s (-0.109 to -0.055).
+    assert after.sensors.side_slip.delay_s == 0.0
     # The sheet has the true offset of the slip sensor.
     sensors = replace(after.sensors, side_slip=sheet.sensors.side_slip)
     after = replace(after, sensors=sensors)
