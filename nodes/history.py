@@ -12,17 +12,20 @@ from typing import NamedTuple
 
 from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
 
+_DRAWING = ("graph", "placement")
+
 
 class Epoch(NamedTuple):
     """Steps from `first_step` on have so many rounds; their cycles begin at `first_cycle`.
 
-    `graph` is the word for the edges of a graph that was set; "" for that of the beginning.
+    `drawn_by` are the settings (name, word) that decide who hears whom and where the nodes are;
+    what the scenario says is not among them.
     """
 
     first_step: int
     first_cycle: int
     rounds: int
-    graph: str = ""
+    drawn_by: tuple[tuple[str, str], ...] = ()
 
 
 class AbsentSteps(NamedTuple):
@@ -74,9 +77,15 @@ class History:
         lasting = (one for one in self.absent_steps if one.end_step is None or one.end_step > step)
         return replace(self, absent_steps=tuple(lasting))
 
-    def graph(self, step: int) -> str:
-        """Return the graph of a step as `Epoch` has it."""
-        return next(e.graph for e in reversed(self.epochs) if e.first_step <= step)
+    def drawn_by(self, step: int) -> tuple[tuple[str, str], ...]:
+        """Return the settings of a step as `Epoch` has them."""
+        return next(e.drawn_by for e in reversed(self.epochs) if e.first_step <= step)
+
+    @property
+    def moves(self) -> list[tuple[int, str]]:
+        """From which step on the sensors stood where, as words that were set."""
+        told = ((epoch.first_step, dict(epoch.drawn_by)) for epoch in self.epochs)
+        return [(step, drawn["placement"]) for step, drawn in told if "placement" in drawn]
 
     def place(self, cycle: int) -> tuple[int, int]:
         """The step that a communication cycle belongs to, and the number of its round."""
@@ -102,7 +111,8 @@ def with_event(history: History, event: Event) -> History:
     match event.change:
         case Set(settings, first_cycle):
             rounds = int(settings.get("rounds", history.epochs[-1].rounds))
-            epoch = Epoch(step, first_cycle, rounds, str(settings.get("graph", "")))
+            drawn_by = tuple((name, str(settings[name])) for name in _DRAWING if name in settings)
+            epoch = Epoch(step, first_cycle, rounds, drawn_by)
             return replace(history, epochs=(*history.epochs, epoch))
         case Left(node) | Gone(node):
             place = _open(absent, node)

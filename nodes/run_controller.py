@@ -151,8 +151,9 @@ class RunController:
                     self._ready.add(node)
                 return self._settle()
             case Configure(settings):
-                wanted = self._stage.check(self.state.standing.settings, settings)
-                self._pending.append(Configure(wanted))
+                waiting = [one.settings for one in self._pending if isinstance(one, Configure)]
+                before = [self.state.standing.settings, *waiting][-1]
+                self._pending.append(Configure(self._stage.check(before, settings)))
                 return self._settle()
             case _:
                 self._pending.append(command)
@@ -246,8 +247,7 @@ class RunController:
                     self._ready.add(node)
                 return []
             case Configure(settings):
-                # Settings that were accepted together drop what the last of them rules out.
-                wanted = self._stage.check({**self.state.standing.settings, **settings}, {})
+                wanted = self._stage.check(self.state.standing.settings, settings)
                 return [environment_changes.setting(self.config, self.state, wanted)]
             case Inject():
                 return fault_changes(command, self.config, self.state.released)

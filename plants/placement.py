@@ -1,15 +1,18 @@
 """Where to put sensors so that their radios form one network, and sites as one word."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from concord.plants.checks import require_positive
+from concord.plants.range_bearing import Moves
 
 ATTEMPTS = 10_000
 SITES, FILE = "at:", "file:"
+_NEXT, _MOVED = "|", "@"
 # So many nodes speak at a time: all pairs of ten thousand would take a gigabyte.
 TOGETHER = 64
 
@@ -91,6 +94,52 @@ def sites(word: str, nodes: int) -> NDArray[np.float64]:
             "for each node"
         )
     return found
+
+
+def sites_by_step(word: str, nodes: int) -> tuple[NDArray[np.float64], Moves]:
+    """Positions (nodes, 2) in m at the beginning, and those from later steps on, of a word that
+    `word_by_step` wrote.
+
+    Raises:
+        ValueError: as `sites`.
+    """
+    first, *later = word.split(_NEXT)
+    parts = (one.partition(":") for one in later)
+    moves = tuple((int(step), sites(SITES + text, nodes)) for step, _, text in parts)
+    return sites(first, nodes), moves
+
+
+def word_by_step(first: str, later: Iterable[tuple[int, str]]) -> str:
+    """The word for sites at the beginning, and others from steps on: `at:0/0;5/5|40:1/0;5/5`."""
+    return first + "".join(f"{_NEXT}{step}:{at.removeprefix(SITES)}" for step, at in later)
+
+
+def stands_by_step(placement: int | str) -> bool:
+    """Return whether a placement has other sites in later steps."""
+    return isinstance(placement, str) and _NEXT in placement
+
+
+def is_move(word: str) -> bool:
+    """Return whether a word says that some sensors move, and the others stay."""
+    return _MOVED in word
+
+
+def moved_sites(word: str, before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions (nodes, 2) in m where some sensors have moved from those before: `3@120/450;5@0/9`.
+
+    Raises:
+        ValueError: a node that there is not, or a site that is none.
+    """
+    after = before.copy()
+    for move in word.split(";"):
+        node, _, at = move.partition(_MOVED)
+        if not (node.isdecimal() and int(node) < len(before)):
+            raise ValueError(
+                f"placement {move!r}: {node!r} is no node of the network; write NODE@x/y with a "
+                f"NODE of 0 to {len(before) - 1}"
+            )
+        after[int(node)] = _site(f"node {node}", at, "/")
+    return after
 
 
 def _site(where: str, given: str | ArrayLike, separator: str = ",") -> tuple[float, float]:

@@ -9,13 +9,16 @@ import numpy as np
 from concord.plants.angles import wrapped
 from concord.plants.checks import require_positive
 
+Moves = tuple[tuple[int, np.ndarray], ...]
+"""Where sensors stand from a step on, in the order of the steps."""
+
 
 @dataclass(frozen=True, eq=False)
 class RangeBearing:
     """Range in m and bearing in rad, anticlockwise from the x axis, of a state [x, vx, y, vy, ...].
 
     `position_m` is (2,) for one node, or (nodes, 2) for all: then the states' last leading axis is
-    the nodes' (or 1).
+    the nodes' (or 1). `moves` are places of the same shape, each from a step on, in their order.
 
     Raises:
         ValueError: for positions of another shape or deviations that are not positive.
@@ -25,6 +28,7 @@ class RangeBearing:
     range_std_m: float = 10.0
     bearing_std_rad: float = math.radians(2)
     gate: float | None = None  # greatest normalised innovation squared that a filter accepts
+    moves: Moves = ()
 
     channels = (("range", "m"), ("bearing", "rad"))
 
@@ -38,12 +42,19 @@ class RangeBearing:
 
     def for_node(self, node: int | np.ndarray) -> "RangeBearing":
         """Return the sensor of one of the nodes, or of nodes (...) for states (..., n)."""
-        return replace(self, position_m=self.position_m[node])
+        moves = tuple((step, places[node]) for step, places in self.moves)
+        return replace(self, position_m=self.position_m[node], moves=moves)
+
+    def places(self, step: int) -> np.ndarray:
+        """Positions in m at a step, (2,) or (nodes, 2)."""
+        moved = (places for first, places in reversed(self.moves) if first <= step)
+        return next(moved, self.position_m)
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Range and bearing (..., 2) of states (..., n), without noise."""
-        dx = state[..., 0] - self.position_m[..., 0]
-        dy = state[..., 2] - self.position_m[..., 1]
+        place = self.places(step)
+        dx = state[..., 0] - place[..., 0]
+        dy = state[..., 2] - place[..., 1]
         value = np.empty_like(state, shape=(*dx.shape, 2))
         value[..., 0] = np.sqrt(dx * dx + dy * dy)
         value[..., 1] = np.arctan2(dy, dx)

@@ -12,7 +12,7 @@ from concord.plants.angles import wrapped
 from concord.plants.checks import require_positive
 from concord.plants.draws import Draws, GeneratorFor, standard_draws
 from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion
-from concord.plants.range_bearing import RangeBearing
+from concord.plants.range_bearing import Moves, RangeBearing
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Target:
 
     def positions(self, step: int) -> np.ndarray:
         """Where the nodes are: (nodes, 2) in m."""
-        return self.sensors.position_m
+        return self.sensors.places(step)
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
         """Return the noise of one run."""
@@ -95,21 +95,21 @@ class Target:
         return delivered[..., None, :]
 
 
-def turning_target(positions_m: np.ndarray) -> Target:
+def turning_target(positions_m: np.ndarray, moves: Moves = ()) -> Target:
     """TRACK: a target on a circle of 250 m radius, seen from `positions_m` (nodes, 2)."""
     return Target(
         model=CoordinatedTurn(),
-        sensors=RangeBearing(positions_m),
+        sensors=RangeBearing(positions_m, moves=moves),
         start=(500.0, 12.0, 250.0, 0.0, 0.048),
         start_std=(50.0, 5.0, 50.0, 5.0, 0.02),
     )
 
 
-def straight_target(positions_m: np.ndarray) -> Target:
+def straight_target(positions_m: np.ndarray, moves: Moves = ()) -> Target:
     """A target that crosses the square of TRACK in two minutes, seen from `positions_m`."""
     return Target(
         model=ConstantVelocity(),
-        sensors=RangeBearing(positions_m),
+        sensors=RangeBearing(positions_m, moves=moves),
         start=(100.0, 6.0, 300.0, 3.0),
         start_std=(50.0, 5.0, 50.0, 5.0),
     )

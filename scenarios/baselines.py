@@ -28,6 +28,7 @@ from concord.nodes.rules.local_filter import (
 from concord.nodes.rules.window_smoother import way_back
 from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.moves import with_scripted_moves
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.rules import rule_of
 from concord.scenarios.setup import Setup
@@ -153,7 +154,8 @@ def _all_alone(
     setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Nodes that take one reading each a step at most, all at once."""
-    definition, scenario = definition_of(setup.scenario), setup.scenario
+    scenario = with_scripted_moves(setup).scenario
+    definition = definition_of(scenario)
     assert definition.sensors is not None, "the caller has looked"
     group = SensorGroup(slice(None), definition.sensors(scenario))
     filters = LocalFilters(definition.model(scenario), (group,), filter_of(setup))
@@ -259,7 +261,7 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
 
     Contents, readings and control may have leading axes, one entry a run.
     """
-    scenario, own_filter = setup.scenario, filter_of(setup)
+    scenario, own_filter = with_scripted_moves(setup).scenario, filter_of(setup)
     definition = definition_of(scenario)
     model = definition.model(scenario)
     each = [(node, definition.sensor(scenario, node)) for node in nodes]

@@ -30,6 +30,7 @@ from concord.nodes.rules.local_filter import (
 from concord.scenarios.baselines import driven_into, priors_of_runs
 from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.moves import with_scripted_moves
 from concord.scenarios.rules import rule_of
 from concord.scenarios.setup import Setup
 
@@ -166,7 +167,7 @@ def _put(found: Innovations, nodes: slice | np.ndarray | int, taken: Innovations
 def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFilters | None:
     """The filters of a setup whose nodes are delivered readings (r, d); None where estimates are
     sets, and where sensors have no filter."""
-    scenario = setup.scenario
+    scenario = with_scripted_moves(setup).scenario
     definition = definition_of(scenario)
     if definition.wirings or rule_of(scenario).baseline_filter is not None:
         return None

@@ -87,6 +87,17 @@ def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     return homes + offsets
 
 
+def require_static_links(scenario: Scenario, asked: str) -> None:
+    """Refuse a change of the graph where links follow graphs of their own.
+
+    Raises:
+        ValueError: naming what was asked, the links, and the cure.
+    """
+    links = scenario.network.links
+    if links != "static":
+        raise ValueError(f"{asked}: --links {links} brings its own graph; leave one of the two out")
+
+
 def network_of(
     scenario: Scenario, build: "Callable[[str], Network]"
 ) -> "tuple[Network, tuple[Adjacency, ...]]":

@@ -15,11 +15,12 @@ from concord.nodes.changes import Settings
 from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import from_wire, to_wire
 from concord.nodes.share_forms import MEAN_REACH
+from concord.plants.placement import FILE, is_move, moved_sites, site_text
 from concord.scenarios.bus_plan import build_schedule, plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
 from concord.scenarios.filters import check_models, check_prior
-from concord.scenarios.links import losses_of, network_of
+from concord.scenarios.links import losses_of, network_of, require_static_links
 from concord.scenarios.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
 from concord.scenarios.scenario_definition import ScenarioPlant
@@ -28,6 +29,7 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
+from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.arbiter import with_pinned_arbiter
 from concord.scenarios.user.bus import check_user_bus
@@ -211,9 +213,12 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
             raise unknown_name("setting", name, SETTINGS)
     if definition_of(scenario).wirings:
         raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
-    settings = {**before, **asked}
+    settings, there = {**before, **asked}, with_settings(setup, before).scenario
+    if "placement" in asked and isinstance(there.plant, PlacedSensors):
+        settings["placement"] = _sites(there, asked["placement"])
+        there = there.with_(placement=settings["placement"])
     if "graph" in asked:
-        settings["graph"] = _edges(scenario, str(asked["graph"]))
+        settings["graph"] = _edges(there, str(asked["graph"]))
     changed, left = scenario.with_known(**settings)
     refuse_left(changed, {name: value for name, value in left.items() if name in asked})
     require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
@@ -239,11 +244,7 @@ def _edges(scenario: Scenario, graph: str) -> str:
     # Only here, as in `_graph`.
     from concord.topology.edge_text import edge_text
 
-    links = scenario.network.links
-    if links != "static":
-        raise ValueError(
-            f"set graph={graph}: --links {links} brings its own graph; leave one of the two out"
-        )
+    require_static_links(scenario, f"set graph={graph}")
     if is_source_name(graph) or graph.startswith("file:"):
         raise ValueError(
             f"set graph={graph}: a network that runs reads no files; name a graph such as ring, or "
@@ -256,11 +257,33 @@ def _edges(scenario: Scenario, graph: str) -> str:
     return edge_text(hears)
 
 
+def _sites(scenario: Scenario, asked: int | float | str) -> str:
+    """Return the sites of all sensors as one word, from the number of a drawing, from sites, or
+    from moves (`3@120/450;5@0/9`) of sensors that stand where `scenario` says.
+
+    Raises:
+        ValueError: sites that are none, or links that follow graphs of their own.
+    """
+    require_static_links(scenario, f"set placement={asked}")
+    if isinstance(asked, str) and asked.startswith(FILE):
+        raise ValueError(
+            f"set placement={asked}: a network that runs reads no files; write NODE@x/y in m for "
+            "each sensor that moves"
+        )
+    moves = isinstance(asked, str) and is_move(asked)
+    there = scenario if moves else scenario.with_known(placement=asked)[0]
+    places = definition_of(there).plant(there).positions(0)
+    assert places is not None, "the plant has a placement"
+    return site_text(moved_sites(str(asked), places) if moves else places)
+
+
 def with_settings(setup: Setup, settings: Settings) -> Setup:
     """The setup of the same network and plant with other values for options of its scenario."""
     scenario, _ = setup.scenario.with_known(**settings)
     changed = msgspec.structs.replace(setup, scenario=scenario)
-    if scenario.network.graph == setup.scenario.network.graph:
+    stays = scenario.network.graph == setup.scenario.network.graph
+    moves = scenario.plant != setup.scenario.plant and scenario.network.graph == "geometric"
+    if stays and not moves:
         return changed
     drawn = _graph(scenario, definition_of(scenario).plant(scenario))
     return msgspec.structs.replace(changed, **drawn._asdict())

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.dashboard.frames.bus_cycles import BusView, judged
-from concord.dashboard.frames.centralised import CentralisedFilter
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame, StepScores
-from concord.dashboard.frames.innovations import InnovationsTold
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, after_all, read_change
+from concord.dashboard.frames.reading_filters import ReadingFilters
 from concord.dashboard.frames.scores import fuse, score, with_tracks
 from concord.dashboard.frames.stage import Stage, restaged
 from concord.dashboard.frames.targets import StepTracks, TracksTold
@@ -38,8 +37,8 @@ class Assembler:
         self._events: list[LogEntry] = []
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
-        self._innovations = InnovationsTold(stage.setup)
-        self.centralised = CentralisedFilter(stage)
+        self.filters = ReadingFilters(stage)
+        self.filters.follow(self._network)
         self._tracks = TracksTold(stage.setup)
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
@@ -95,6 +94,7 @@ class Assembler:
             since = self._network.anchor[:2]
             self._stage = restaged(self._stage, dict(self._network.settings), *since)
             self._bus = BusView(self._stage.bus)
+            self.filters.follow(self._network)
             # Under other settings nodes begin without shares, and perhaps with other neighbours.
             self._ages = np.full(len(self._stage.heard), -1)
 
@@ -115,8 +115,7 @@ class Assembler:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
         self._take_estimates(number, told)
-        central = self.centralised.add(number, told)
-        nis = self._innovations.add(number, told, self._belief, self._alive)
+        central, nis = self.filters.add(number, told, self._belief, self._alive)
         tracks, changes = self._tracks.add(state, told.estimates)
         self._events += [LogEntry(number, words) for words in changes]
         events, self._events = tuple(self._events), []

@@ -9,6 +9,7 @@ from concord.dashboard.frames.told import StepContent, delivered, read_step
 from concord.filters.gaussian import Gaussian
 from concord.runtime.whole_steps import WholeStep
 from concord.scenarios.baselines import BaselineContent, baseline_step, filters_step_by_step
+from concord.scenarios.setup import Setup
 
 
 class CentralisedFilter:
@@ -25,6 +26,11 @@ class CentralisedFilter:
         self._advance = None
         if filters_step_by_step(setup):
             self._advance = baseline_step(setup, list(range(stage.nodes)))
+
+    def follow(self, setup: Setup) -> None:
+        """Take the sensors of this setup from now on."""
+        if self._advance is not None:
+            self._advance = baseline_step(setup, list(range(self._stage.nodes)))
 
     def take_over(self, readings: Iterable[WholeStep]) -> Iterator[int]:
         """Take the readings of the steps before the first frame; yield the number of each."""

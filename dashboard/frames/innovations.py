@@ -38,6 +38,10 @@ class InnovationsTold:
         self._filters: InnovationFilters | None = None
         self._learnt: Learnt = ()
 
+    def follow(self, setup: Setup) -> None:
+        """Take the sensors of this setup from now on."""
+        self._setup, self._filters = setup, None
+
     def add(self, number: int, told: StepContent, after: Gaussian, alive: np.ndarray) -> StepNis:
         """The innovations of a step, after which the living nodes (N,) have beliefs (N, n)."""
         before, follows = self._before, number == self._last + 1

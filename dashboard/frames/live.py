@@ -92,7 +92,7 @@ class LiveNetwork:
             raise ValueError(f"--connect: no network of this version answers ({error})") from None
         standing, stage = situation.standing, set_stage(situation.setup)
         since = standing.first_step, standing.first_cycle
-        settings = dict(standing.settings)
+        settings = self._settings = dict(standing.settings)
         self._stage = restaged(stage, settings, *since) if settings else stage
         self._state = _Pause(situation.completed, situation.paused, situation.steps_per_second)
         self._completed = situation.completed
@@ -129,8 +129,10 @@ class LiveNetwork:
             before = (handed.readings or [])[:-1]
             is_whole = [step.number for step in before] == list(range(handed.step.number))
             is_slow = self._state.paused or 0 < self._state.steps_per_second <= STEPS_PER_S
-            if is_whole and is_slow:
-                self._taking_over = self._assembler.centralised.take_over(before)
+            # Readings do not say where their sensors stood before they moved.
+            has_moved = "placement" in self._settings
+            if is_whole and is_slow and not has_moved:
+                self._taking_over = self._assembler.filters.centralised.take_over(before)
 
     def _is_taking_over(self) -> bool:
         """Go on with the steps before the first frame for a moment; say whether some are left."""

@@ -11,6 +11,7 @@ import msgspec
 
 from concord.dashboard.frames.frame import LogEntry
 from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
+from concord.plants.placement import SITES
 from concord.scenarios.scenario import SETTINGS
 
 
@@ -203,5 +204,10 @@ def _settings(network: NetworkStatus, change: AnnouncedChange) -> tuple[NetworkS
 
 
 def value_in_words(name: str, value: object) -> object:
-    """Return the value of a setting as a person says it: of a graph the number of its links."""
-    return f"one of {str(value).count(';') + 1} links" if name == "graph" else value
+    """Return the value of a setting as a person says it: of a graph the number of its links, and
+    of all sites that of the sensors."""
+    count = str(value).count(";") + 1
+    if name == "graph":
+        return f"one of {count} links"
+    all_sites = name == "placement" and str(value).startswith(SITES)
+    return f"sites of {count} sensors" if all_sites else value

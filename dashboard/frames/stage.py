@@ -108,6 +108,10 @@ class Stage:
         extent = float((corners.max(0) - corners.min(0)).max())
         return SCENE_WIDTH / extent if extent > 0 else 1.0
 
+    def in_plane(self, point: np.ndarray) -> np.ndarray:
+        """A point (3,) of the scene as one (2,) of the plane."""
+        return point[:2] / self.scale + self.centre
+
     def in_scene(self, points: np.ndarray, height: float = 0.0) -> np.ndarray:
         """Points (..., 2) of the plane as points (..., 3) of the scene."""
         flat = (points - self.centre) * self.scale
@@ -118,12 +122,11 @@ def set_stage(setup: Setup) -> Stage:
     """Return the stage of a setup."""
     definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
-    places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
     several = isinstance(setup.scenario.plant, TargetSwarm)
-    if places is not None:
+    if plant.positions(0) is not None:
         picture = PlantDrawing.SWARM if several else PlantDrawing.PLANE
-        positions = lambda step: np.asarray(plant.positions(step))  # noqa: E731
+        positions = _positions(setup)
     else:
         layout = _laid_out(setup.neighbours)
         track = set(_CAR_STATES) <= set(plant.state_names)
@@ -153,8 +156,19 @@ def restaged(
     this cycle; all else stays, also the places of nodes that were laid out by their graph."""
     setup = with_settings(stage.setup, settings)
     bus, (edges, heard) = build_bus(setup, first_step, first_cycle), _links(setup)
-    set_valued = is_set_valued(setup.scenario)
-    return replace(stage, setup=setup, bus=bus, edges=edges, heard=heard, set_valued=set_valued)
+    set_valued, positions = is_set_valued(setup.scenario), stage.positions
+    if setup.scenario.plant != stage.setup.scenario.plant:
+        positions = _positions(setup)
+    return replace(
+        stage, setup=setup, bus=bus, edges=edges, heard=heard, set_valued=set_valued,
+        positions=positions,
+    )  # fmt: skip
+
+
+def _positions(setup: Setup) -> Callable[[int], np.ndarray]:
+    """Return where the nodes of a plant with places are: step -> (N, 2) in m."""
+    plant = definition_of(setup.scenario).plant(setup.scenario)
+    return lambda step: np.asarray(plant.positions(step))
 
 
 def _links(setup: Setup) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

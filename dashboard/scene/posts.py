@@ -39,7 +39,7 @@ class ErrorPosts:
         )
 
     def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
-        return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
+        return self._stage.in_scene(frame.stage.positions(frame.step), 0.15)
 
     def extent(self) -> np.ndarray:
         stage = self._stage

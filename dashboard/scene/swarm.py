@@ -41,7 +41,7 @@ class SwarmTracks:
         self._labels: list[Any] = []
 
     def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
-        return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
+        return self._stage.in_scene(frame.stage.positions(frame.step), 0.15)
 
     def extent(self) -> np.ndarray:
         return self._stage.in_scene(self._stage.whereabouts, 0.15)

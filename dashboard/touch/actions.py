@@ -1,5 +1,8 @@
 """Commands that a menu offers for a node or a link: labels, and the words behind each."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
@@ -28,15 +31,31 @@ def is_cut(frame: StepFrame, ends: tuple[int, ...]) -> bool:
     return bool(frame.cut[is_it].any())
 
 
-def drawn_link(frame: StepFrame, ends: tuple[int, int]) -> str:
+def drawn_link(
+    frame: StepFrame, ends: tuple[int, int], waiting: Sequence[Mapping[str, Any]] = ()
+) -> str:
     """Return the command for a link that a hand draws: it cuts one that is up, heals one that is
-    cut, and gives the network one that it lacks."""
+    cut, and gives the network one that it lacks.
+
+    A new link comes beside those of the commands that wait.
+    """
     stage = frame.stage
     if ends[1] in stage.setup.neighbours[ends[0]] or ends[0] in stage.setup.neighbours[ends[1]]:
         return f"{'heal' if is_cut(frame, ends) else 'cut'} {ends[0]} {ends[1]}"
     # Only here: networkx and scipy take long to load.
-    from concord.topology.edge_text import edge_text
+    from concord.topology.edge_text import edge_text, read_edge_text
 
     hears = np.zeros((stage.nodes, stage.nodes))
-    hears[tuple(stage.heard.T)] = hears[ends] = hears[ends[::-1]] = 1
+    hears[tuple(stage.heard.T)] = 1
+    for command in waiting:
+        if "graph" in command.get("settings", {}):
+            hears = read_edge_text(command["settings"]["graph"].removeprefix("edges:"), stage.nodes)
+            hears = hears.toarray()
+    hears[ends] = hears[ends[::-1]] = 1
     return f"set graph={edge_text(hears)}"
+
+
+def moved_node(frame: StepFrame, node: int, place: np.ndarray) -> str:
+    """Return the command for a node that a hand moves to a place (3,) of the scene."""
+    x, y = frame.stage.in_plane(place)
+    return f"set placement={node}@{x:.1f}/{y:.1f}"

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import viser
 
+from concord.dashboard.frames.stage import Stage
 from concord.dashboard.scene import geometry
 from concord.dashboard.scene.plants import add_lines, paint
 from concord.dashboard.theme import Theme
+from concord.plants.placement import sites
 
 _RING = np.linspace(0.0, 2 * np.pi, 33)
 
@@ -29,10 +31,10 @@ class PendingGhosts:
         theme: Theme,
         at: np.ndarray,
         radius: float,
-        edges: np.ndarray,
+        stage: Stage,
         waiting: Sequence[Mapping[str, Any]],
     ) -> None:
-        """Show the commands that wait, where the nodes are at (N, 3) and have links (E, 2)."""
+        """Show the commands that wait, where the nodes of a stage are at (N, 3)."""
         shown = (theme.dark, at.round(2).tobytes(), str(waiting))
         if shown == self._shown:
             return
@@ -40,24 +42,30 @@ class PendingGhosts:
         for label in self._labels:
             label.remove()
         segments, self._labels = [], []
-        there = {*map(tuple, edges.tolist())}
+        there = {*map(tuple, stage.edges.tolist())}
         told = [(command, nodes) for command in waiting for nodes in places_of(command, there)]
-        for number, (command, nodes) in enumerate(told):
+        for command, nodes in told:
             segments.append(_outline(at, radius, nodes))
-            place = at[list(nodes[:2])].mean(axis=0)
-            place[2] += 1.5 * radius
-            words = str(command.get("kind", command["do"]))
-            self._labels.append(
-                self._scene.add_label(
-                    f"/pending/word{number}", f"next step: {words}", position=tuple(place),
-                    anchor="bottom-left", font_screen_scale=0.85,
-                )
-            )  # fmt: skip
+            self._label(at[list(nodes[:2])].mean(axis=0), radius, command)
+        for command in waiting:
+            for node, place in moves_of(command, stage):
+                ends = np.stack([at[node], stage.in_scene(place, at[node, 2])])
+                segments += [geometry.dashed(ends[None], 9), _outline(ends, radius, (1,))]
+                self._label(ends[1], radius, command)
         drawn = np.concatenate(segments) if segments else np.zeros((0, 2, 3))
         paint(self._lines, drawn, np.array(theme.selection))
 
+    def _label(self, place: np.ndarray, radius: float, command: Mapping[str, Any]) -> None:
+        words = str(command.get("kind", command["do"]))
+        label = self._scene.add_label(
+            f"/pending/word{len(self._labels)}", f"next step: {words}",
+            position=(place[0], place[1], place[2] + 1.5 * radius), anchor="bottom-left",
+            font_screen_scale=0.85,
+        )  # fmt: skip
+        self._labels.append(label)
+
     def follow(self, theme: Theme, start: np.ndarray, end: np.ndarray) -> None:
-        """Show the link that a hand draws from one point (3,) to another."""
+        """Show the line that a hand draws from one point (3,) to another."""
         paint(self._drawing, geometry.dashed(np.array([[start, end]])), np.array(theme.selection))
 
     def let_go(self) -> None:
@@ -83,6 +91,15 @@ def places_of(
         return sorted({*map(tuple, wanted)} ^ edges)
     nodes = tuple(map(int, command.get("nodes", ())))
     return [nodes] if nodes else []
+
+
+def moves_of(command: Mapping[str, Any], stage: Stage) -> list[tuple[int, np.ndarray]]:
+    """Return the nodes of a stage that a command moves, each with its new place (2,) in m."""
+    placement = command.get("settings", {}).get("placement")
+    if placement is None:
+        return []
+    after, before = sites(placement, stage.nodes), stage.positions(0)
+    return [(int(node), after[node]) for node in np.flatnonzero((after != before).any(axis=1))]
 
 
 def _outline(at: np.ndarray, radius: float, nodes: tuple[int, ...]) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""The hand in the scene: a menu beside a node or a link, and links drawn from node to node.
+"""The hand in the scene: a menu beside a node or a link, links drawn from node to node, and nodes
+moved to another place.
 
 The menu belongs to the browser that opened it.
 """
@@ -11,23 +12,21 @@ import msgspec
 import numpy as np
 import viser
 
+from concord.dashboard.frames.stage import PlantDrawing
 from concord.dashboard.inputs import at_once
 from concord.dashboard.panels.commands import Commands
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import Theme
-from concord.dashboard.touch.actions import actions, drawn_link
+from concord.dashboard.touch.actions import actions, drawn_link, moved_node
 from concord.dashboard.touch.ghosts import PendingGhosts
 from concord.dashboard.touch.menu import RIGHT_BUTTON, PointerMenu
 from concord.dashboard.touch.picking import Picked, pick
 from concord.nodes.commands import in_words
 
 _KEEPS_ITS_PLACE = (
-    "a drag draws a link, and ends at another node; a node keeps its place, because the plant "
-    "makes its readings from there"
+    "a drag ends at another node, to which it draws a link, or on the ground of a single target, "
+    "where the sensor stands then"
 )
-
-
-_NO_EDGES = np.zeros((0, 2), dtype=np.int64)
 
 
 class Hand:
@@ -36,6 +35,7 @@ class Hand:
     def __init__(self, server: viser.ViserServer, scene: Scene, commands: Commands) -> None:
         self._scene, self._commands = scene, commands
         self.ghosts = PendingGhosts(server.scene)
+        self._waiting: Sequence[dict[str, Any]] = ()
         self._menus: WeakKeyDictionary[viser.ClientHandle, PointerMenu] = WeakKeyDictionary()
         server.gui.add_html(RIGHT_BUTTON)
         open_at: Any = at_once(self._open_at)
@@ -44,10 +44,9 @@ class Hand:
 
     def draw(self, theme: Theme, waiting: Sequence[dict[str, Any]]) -> None:
         """Show the commands that wait for the next step."""
-        if self._scene.at is not None:
-            frame = self._scene.frame
-            edges = _NO_EDGES if frame is None else frame.stage.edges
-            self.ghosts.draw(theme, self._scene.at, self._scene.radius, edges, waiting)
+        self._waiting, frame = waiting, self._scene.frame
+        if self._scene.at is not None and frame is not None:
+            self.ghosts.draw(theme, self._scene.at, self._scene.radius, frame.stage, waiting)
 
     def _picked(self, origin: Any, direction: np.ndarray) -> Picked | None:
         frame, at = self._scene.frame, self._scene.at
@@ -86,8 +85,14 @@ class Hand:
             return
         self.ghosts.let_go()
         camera = np.array(event.client.camera.position)
-        picked = self._picked(camera, np.array(event.end_position) - camera)
-        if picked is None or len(picked.nodes) != 1:
+        direction = np.array(event.end_position) - camera
+        picked = self._picked(camera, direction)
+        if picked is not None and len(picked.nodes) == 1:
+            if picked.nodes[0] != node:
+                ends = node, picked.nodes[0]
+                self._say(drawn_link(frame, ends, self._waiting), event.client)
+        elif frame.stage.picture is PlantDrawing.PLANE and direction[2] < 0:
+            place = camera + direction * (at[node, 2] - camera[2]) / direction[2]
+            self._say(moved_node(frame, node, place), event.client)
+        else:
             self._commands.tell(event.client, "Refused", _KEEPS_ITS_PLACE, True)
-        elif picked.nodes[0] != node:
-            self._say(drawn_link(frame, (node, picked.nodes[0])), event.client)

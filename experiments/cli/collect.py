@@ -20,6 +20,7 @@ from concord.experiments.results.innovations.of_run import channel_table, run_in
 from concord.experiments.results.run_results import (
     NO_MORE,
     Captures,
+    as_it_ran,
     check_captures,
     completed,
     write_results,
@@ -108,6 +109,7 @@ def finish(
     smooth: bool = False,
 ) -> None:
     """Write run.nc and the captures, with `smooth` smoothed.nc, and print the figures."""
+    description = as_it_ran(description, trace)
     innovations = run_innovations(description.setup, trace)
     write_results(folder, description, trace, captures, innovations)
     found = summarise(description.setup, trace, innovations)

@@ -157,14 +157,15 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     from concord.experiments.results.folder import BATCHED, read_description
-    from concord.experiments.results.run_results import completed
+    from concord.experiments.results.run_results import as_it_ran, completed
     from concord.experiments.results.summary import summarise
     from concord.experiments.results.summary_table import lines
 
     description = read_description(folder)
     if description.driver == BATCHED:
         return _of_runs(folder, description)
-    figures = summarise(description.setup, completed(folder, description))
+    trace = completed(folder, description)
+    figures = summarise(as_it_ran(description, trace).setup, trace)
     rows = [
         [str(i), f"{n.rmse:.4g}", f"{n.rmse_local_only:.4g}", f"{n.anees:.4g}", str(n.sent),
          str(n.heard), str(n.missed)]

@@ -13,6 +13,7 @@ from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from concord.scenarios.baselines import centralised_of_runs, filters_step_by_step
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.moves import with_scripted_moves
 from concord.scenarios.setup import Setup
 
 # Frames of pieces of several cells that have the same noise.
@@ -81,7 +82,7 @@ def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     if definition.wirings or not filters_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
     assert histories.readings is not None, "keep the readings"
-    groups = definition.sensor_groups(setup.scenario)
+    groups = definition.sensor_groups(with_scripted_moves(setup).scenario)
     truths = Truths(histories.truth, histories.readings, histories.control)
     return posterior_bound(
         truths, np.array(setup.prior_cov), definition.model(setup.scenario), groups

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from concord.experiments.monte_carlo.network_errors import scored_steps
@@ -17,7 +18,9 @@ from concord.filters.metrics import mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rules import is_set_valued
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import occupancy_of
+from concord.scenarios.types.plants import PlacedSensors
 
 if TYPE_CHECKING:
     import xarray
@@ -32,6 +35,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     """
     description = read_description(folder)
     data = _arrays(folder, description)
+    description = _as_it_ran(description, data)
     figures, told = {}, _told(description, data)
     if told.any():
         figures["error-over-time"] = _errors(description, data, told)
@@ -63,6 +67,24 @@ def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
     if data["mean"].shape[2:] != (description.setup.scenario.nodes, states):
         raise ValueError(f"{path}: is of other nodes or states than run.json; {again}")
     return data
+
+
+def _as_it_ran(description: Description, data: "xarray.Dataset") -> Description:
+    """The description whose sensors stand in each step where they stood in the run.
+
+    Raises:
+        ValueError: run.nc does not say what was run.
+    """
+    setup = description.setup
+    if not isinstance(setup.scenario.plant, PlacedSensors):
+        return description
+    try:
+        plant = msgspec.json.decode(data.attrs.get("scenario", ""), type=Scenario).plant
+    except msgspec.DecodeError:
+        raise ValueError(f"{ARRAYS}: does not say which scenario was run; make it again") from None
+    scenario = msgspec.structs.replace(setup.scenario, plant=plant)
+    setup = msgspec.structs.replace(setup, scenario=scenario)
+    return msgspec.structs.replace(description, setup=setup)
 
 
 def _told(description: Description, data: "xarray.Dataset") -> np.ndarray:

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from concord.bus.recordings.pcap import FLEXRAY_LINK, write_pcap
 from concord.experiments.results.bus_capture import capture, check_all_cycles, traffic_of
 from concord.experiments.results.folder import (
@@ -18,6 +20,7 @@ from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
+from concord.scenarios.moves import with_moves
 from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.frame_formats import frame_format
@@ -65,6 +68,12 @@ def completed(folder: Path, description: Description) -> Trace:
     if not trace.steps:
         raise ValueError(f"{recording}: the run ended before all nodes completed a step")
     return trace
+
+
+def as_it_ran(description: Description, trace: Trace) -> Description:
+    """Return the description whose sensors stand in each step where they stood in the run."""
+    setup = with_moves(description.setup, trace.history.moves)
+    return msgspec.structs.replace(description, setup=setup)
 
 
 def write_results(

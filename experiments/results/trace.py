@@ -156,8 +156,8 @@ def _assemble(
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
     controls: list[list[float] | None] = [None] * steps
     neighbours = {
-        graph: with_settings(setup, {"graph": graph} if graph else {}).neighbours
-        for graph in {epoch.graph for epoch in history.epochs}
+        drawn_by: with_settings(setup, dict(drawn_by)).neighbours
+        for drawn_by in {epoch.drawn_by for epoch in history.epochs}
     }
     for k, i in np.ndindex(steps, nodes):
         if not history.is_in(i, k):
@@ -165,7 +165,7 @@ def _assemble(
         estimate = estimates[k, i]
         mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
         ages[k, i, i] = 0
-        ages[k, i, neighbours[history.graph(k)][i]] = estimate.ages
+        ages[k, i, neighbours[history.drawn_by(k)][i]] = estimate.ages
         counters[i], suspect[k, i] = estimate.counters, estimate.suspect
         estimate_age_s[k, i] = np.nan if estimate.age_s is None else estimate.age_s
         gap[k, i] = np.nan if estimate.gap is None else estimate.gap

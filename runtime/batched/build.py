@@ -44,6 +44,8 @@ def without_array_form(scenario: Scenario) -> str | None:
         return "faults but kills, cuts and losses (--changes)"
     if any(held.network.graph != scenario.network.graph for held in _set_in(scenario)):
         return "another graph (--changes)"
+    if any(held.plant != scenario.plant for held in _set_in(scenario)):
+        return "sensors at other places (--changes)"
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
     if (wiring := definition.wiring(scenario)) is not None:

@@ -7,7 +7,7 @@ each sees a target within 350 m, radio reaches 330 m. `target-crossing` is its s
 from collections.abc import Callable
 from functools import cache
 
-from concord.plants.placement import place_sensors, sites
+from concord.plants.placement import place_sensors, sites_by_step
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.targets import Target, straight_target, turning_target
 from concord.scenarios.scenario import Scenario
@@ -21,7 +21,7 @@ RADIO_RANGE_M = 330.0
 @cache
 def _target(make: Callable[..., Target], nodes: int, placement: int | str) -> Target:
     if isinstance(placement, str):
-        return make(sites(placement, nodes))
+        return make(*sites_by_step(placement, nodes))
     return make(place_sensors(nodes, radio_range_m=RADIO_RANGE_M, drawing=placement))
 
 

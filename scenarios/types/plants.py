@@ -19,7 +19,7 @@ class PlacedSensors(SensedPlantChoice, frozen=True, kw_only=True):
     placement: Annotated[
         int | str,
         Option("Where the sensors stand: number of a random drawing (0, 1, 2, ...), or file:PATH "
-               "with a line x, y in m for each node."),
+               "with a line x, y in m for each node.", is_setting=True),
     ] = 0  # fmt: skip
 
 

@@ -125,10 +125,13 @@ def open_link(page: Page) -> tuple[int, int]:
 
 def drag(page: Page, start: int, end: int) -> None:
     """Draw from a node to another at once: no picture shows the line on its way."""
-    first, second = page.pixels(places(page)[[start, end]])
-    page.page.mouse.move(*first)
+    drag_to(page, start, page.pixels(places(page)[[end]])[0])
+
+
+def drag_to(page: Page, node: int, pixel: tuple[float, float] | np.ndarray) -> None:
+    page.page.mouse.move(*page.pixels(places(page)[[node]])[0])
     page.page.mouse.down()
-    page.page.mouse.move(*second)
+    page.page.mouse.move(*pixel)
     page.page.mouse.up()
 
 
@@ -164,11 +167,35 @@ def test_a_link_that_the_network_lacks_is_there_after_it_was_drawn(page: Page):
     page.until(lambda: "cut the link" in waiting(page))
 
 
+def test_a_node_that_is_dragged_stands_where_it_was_let_go(page: Page):
+    node, _ = strangers(page)
+    before, pixel = page.dashboard.stage.positions(0), _free_ground(page, node)
+    drag_to(page, node, pixel)
+    page.until(lambda: "placement" in waiting(page))
+    page.until(lambda: page.part("/pending/lines")["shown"])
+    assert np.array_equal(page.dashboard.stage.positions(0), before)
+    one_step(page)
+    page.until(lambda: not np.array_equal(page.dashboard.stage.positions(0), before))
+    after = page.dashboard.stage.positions(0)
+    assert np.flatnonzero((after != before).any(axis=1)).tolist() == [node]
+    page.until(lambda: np.abs(page.pixels(places(page)[[node]])[0] - pixel).max() < 4)
+
+
+def _free_ground(page: Page, node: int) -> np.ndarray:
+    """Return the nearest pixel to a node that is far from all nodes, and not under a panel."""
+    seen = np.array(page.pixels(places(page)))
+    turns = np.linspace(0, 2 * np.pi, 24)
+    around = seen[node] + 60 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    clear = np.linalg.norm(around[:, None] - seen, axis=-1).min(axis=1)
+    inside = np.all(np.abs(around - [450, 240]) < [200, 200], axis=1)
+    return around[np.argmax(np.where(inside, clear, 0))]
+
+
 def test_the_session_is_a_script_that_can_be_copied(page: Page):
     page.page.get_by_role("tab", name="Log", exact=True).click()
     page.until(lambda: page.page.get_by_test_id("script").is_visible())
     script = page.text("script")
-    for words in (" kill ", " restart ", " cut ", " heal ", " set graph=edges:"):
+    for words in (" kill ", " restart ", " cut ", " heal ", " set graph=edges:", "placement=at:"):
         assert words in script
     assert script.startswith('--changes "')
     page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])

@@ -155,9 +155,7 @@ def test_a_press_on_resume_resumes_whatever_has_come_before_its_turn(
     assert source.asked == ["resume", "resume"]
 
 
-def test_a_drag_that_ends_at_no_node_says_that_a_node_keeps_its_place(
-    page: Dashboard, source: Scripted
-):
+def test_a_drag_ends_on_the_ground_and_says_so_of_the_sky(page: Dashboard, source: Scripted):
     told: list[str] = []
     page.controls.commands.tell = lambda client, title, body, trouble: told.append(body)
     assert holds(page, lambda: page.page.scene.at is not None)
@@ -165,12 +163,13 @@ def test_a_drag_that_ends_at_no_node_says_that_a_node_keeps_its_place(
     assert at is not None
     assert hand is not None
     above = SimpleNamespace(camera=SimpleNamespace(position=(0.0, 0.0, 60.0)))
-    for end in (at[2], np.array([30.0, 30.0, 0.0])):
+    for end in (at[2], np.array([30.0, 30.0, 70.0]), np.array([3.0, -3.0, 0.15])):
         drag = {"instance_index": 2, "phase": "end", "end_position": end, "client": above}
         hand._drag(SimpleNamespace(**drag))
-    assert len(told) == 1
-    assert "a node keeps its place" in told[0]
-    assert source.asked == []
+    assert "a drag ends at another node" in told[0]
+    assert holds(page, lambda: len(told) == 2)
+    assert told[1].startswith("Set placement to 2@")
+    assert source.asked == ["set"]
 
 
 def test_the_slider_shows_the_speed_in_force(page: Dashboard, source: Scripted):

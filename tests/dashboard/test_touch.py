@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from concord.dashboard.panels.table import status
 from concord.dashboard.theme import DARK
-from concord.dashboard.touch.actions import actions, drawn_link
-from concord.dashboard.touch.ghosts import places_of
+from concord.dashboard.touch.actions import actions, drawn_link, moved_node
+from concord.dashboard.touch.ghosts import moves_of, places_of
 from concord.dashboard.touch.picking import pick
 from concord.dashboard.touch.script import as_option, script_of
 from concord.nodes.commands import in_words
@@ -109,3 +109,43 @@ def test_a_drawn_link_cuts_heals_or_is_a_new_one():
     assert "target-tracking, 9 links, ci" in status(after.stage, DARK, after, "PAUSED")
     (told,) = after.events
     assert told.text == "set graph one of 9 links" and f"3 {told.words}" == f"3 {new}"
+
+
+def test_a_link_is_drawn_beside_those_that_wait():
+    waiting = [msgspec.to_builtins(in_words(drawn_link(FRAME, (4, 0)).split()))]
+    both = msgspec.to_builtins(in_words(drawn_link(FRAME, (6, 2), waiting).split()))
+    edges = {*map(tuple, FRAME.stage.edges.tolist())}
+    assert places_of(both, edges) == [(0, 4), (2, 6)]
+
+
+def test_a_moved_node_stands_elsewhere_and_the_page_follows_it():
+    place = FRAME.stage.in_scene(np.array([480.0, 310.0]), 0.15)
+    words = moved_node(FRAME, 3, place)
+    assert words == "set placement=3@480.0/310.0"
+    stage, messages = run_of(
+        "target-tracking", nodes=8, steps=6, graph="ring", changes=(f"3 {words}", "4 set rounds=2")
+    )
+    before, after, last = (frames_of(stage, messages)[step] for step in (2, 3, 5))
+    moves = [msgspec.to_builtins(in_words(event.words.split())) for event in after.events]
+    ((node, where),) = moves_of(moves[0], before.stage)
+    assert node == 3 and where.tolist() == [480, 310]
+    for frame in (after, last):
+        assert frame.stage.positions(frame.step)[3].tolist() == [480, 310]
+        assert moves_of(moves[0], frame.stage) == []
+    # The scene keeps its ground.
+    stays = np.arange(8) != 3
+    assert np.array_equal(before.stage.positions(2)[stays], last.stage.positions(5)[stays])
+    assert "placement sites of 8 sensors" in after.events[0].text
+
+
+def test_the_chart_of_nis_follows_a_node_that_a_hand_has_moved():
+    """No script says so: the page hears of the move from the network alone."""
+    changes = ("3 set placement=3@480/310",)
+    stage, messages = run_of("target-tracking", nodes=8, steps=8, graph="ring", changes=changes)
+    unscripted, _ = run_of("target-tracking", nodes=8, steps=8, graph="ring")
+    for told, scripted in zip(
+        frames_of(unscripted, messages), frames_of(stage, messages), strict=True
+    ):
+        assert told.scores.nis is not None and scripted.scores.nis is not None
+        assert np.array_equal(told.scores.nis.squares, scripted.scores.nis.squares)
+        assert told.scores.central == scripted.scores.central < 60

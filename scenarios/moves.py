@@ -1,0 +1,40 @@
+"""The plant of a run in which sensors moved: in each step it measures from where they were."""
+
+from collections.abc import Iterable
+
+import msgspec
+
+from concord.nodes.changes import Settings
+from concord.nodes.commands import Configure
+from concord.plants.placement import site_text, stands_by_step, word_by_step
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import complete_settings
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import PlacedSensors
+
+
+def with_moves(setup: Setup, moves: Iterable[tuple[int, str]]) -> Setup:
+    """Return the setup whose sensors stand from these steps on at these sites, each one word."""
+    plant, later = setup.scenario.plant, list(moves)
+    if not later or not isinstance(plant, PlacedSensors):
+        return setup
+    first = definition_of(setup.scenario).plant(setup.scenario).positions(0)
+    assert first is not None, "the plant has a placement"
+    moving = msgspec.structs.replace(plant, placement=word_by_step(site_text(first), later))
+    scenario = msgspec.structs.replace(setup.scenario, plant=moving)
+    return msgspec.structs.replace(setup, scenario=scenario)
+
+
+def with_scripted_moves(setup: Setup) -> Setup:
+    """Return the setup whose sensors move as its script says, or one of `with_moves` as it is."""
+    scenario, moves = setup.scenario, list[tuple[int, str]]()
+    plant = scenario.plant
+    if not isinstance(plant, PlacedSensors) or stands_by_step(plant.placement):
+        return setup
+    settings: Settings = {}
+    for step, command in script_of(scenario):
+        if isinstance(command, Configure):
+            settings = complete_settings(setup, settings, command.settings)
+            moves += [(step, str(settings["placement"]))] if "placement" in settings else []
+    return with_moves(setup, moves)
