@@ -40,7 +40,7 @@ def selected_panel(stage: Stage, view: View, past: Sequence[StepFrame]) -> str:
             f"<tr><td>{escape(name)}</td><td>{mean:.5g}</td><td>±{wide:.3g}</td>"
             f'<td style="color:{colour}">{off:+.3g}</td><td>{escape(unit)}</td></tr>'
         )
-    word = conditions(stage, frame)[node]
+    word = conditions(frame)[node]
     spread = "set" if stage.set_valued else "3σ"
     heads = "".join(
         f'<th title="{meaning}">{spread if head == "3σ" else head}</th>'

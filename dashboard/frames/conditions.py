@@ -3,17 +3,17 @@
 import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
-from concord.dashboard.frames.stage import Stage
 
 DOWN, REJECTED, STALE, BLIND, SEEING = "down", "rejected", "stale", "blind", "up"
 
 
-def conditions(stage: Stage, frame: StepFrame) -> list[str]:
+def conditions(frame: StepFrame) -> list[str]:
     """One word per node, the most serious that is true.
 
     `rejected`: it threw a frame away in this step; `stale`: the newest share of a neighbour did not
     reach it; `blind`: none of its sensors delivered anything.
     """
+    stage = frame.stage
     stale = np.zeros(stage.nodes, dtype=bool)
     if frame.lost.any():
         stale[stage.heard[frame.lost, 0]] = True
@@ -33,8 +33,9 @@ def conditions(stage: Stage, frame: StepFrame) -> list[str]:
     return words
 
 
-def oldest(stage: Stage, frame: StepFrame) -> np.ndarray:
+def oldest(frame: StepFrame) -> np.ndarray:
     """Per node (N,): cycles since the oldest share that it holds of a neighbour; -1 of none."""
+    stage = frame.stage
     ages = np.full(stage.nodes, -1)
     if len(stage.heard):
         np.maximum.at(ages, stage.heard[:, 0], frame.ages)

@@ -24,7 +24,7 @@ _SCALED = ("error", "3σ", "set")
 
 def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     """A row per node."""
-    theme, words, ages = view.theme, conditions(stage, frame), oldest(stage, frame)
+    theme, words, ages = view.theme, conditions(frame), oldest(frame)
     width = (1.0 if stage.set_valued else 3.0) * frame.scores.width
     rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
     told = any(frame.rejection)

@@ -135,7 +135,7 @@ class Scene:
     ) -> Callable[[], None]:
         """Work out the picture; returns what assigns it, for inside of one `atomic()`."""
         stage, theme = self._stage, view.theme
-        words = conditions(stage, frame)
+        words = conditions(frame)
         at = self.plant.node_places(frame, past)
         colours = np.array([colour_of(theme, word) for word in words])
         scales = np.full(stage.nodes, self.radius)

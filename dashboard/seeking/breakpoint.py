@@ -159,7 +159,7 @@ QUANTITIES = {
     "nis": Quantity("NIS of a node, or the largest", of_nodes=_nis, together=_largest),
     "age": Quantity(
         "cycles since the oldest share that a node holds was sent",
-        of_nodes=lambda f: oldest(f.stage, f), together=_largest,
+        of_nodes=oldest, together=_largest,
     ),
     "silent": Quantity("nodes that sent no frame in the step", of_nodes=_silent),
     "down": Quantity("nodes that are down", of_nodes=lambda f: ~f.alive),

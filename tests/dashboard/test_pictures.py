@@ -180,18 +180,18 @@ def test_text_from_outside_is_escaped(theme):
 
 
 def test_conditions_name_the_most_serious():
-    assert set(conditions(STAGE, FRAME)) <= {"up", "blind"}
+    assert set(conditions(FRAME)) <= {"up", "blind"}
     lost = FRAME._replace(lost=np.arange(len(STAGE.heard)) == 0)
-    assert conditions(STAGE, lost)[STAGE.heard[0, 0]] == "stale"
+    assert conditions(lost)[STAGE.heard[0, 0]] == "stale"
     rejected = lost._replace(events=(LogEntry(23, "node 00 rejected a frame: crc", 0, True),))
-    assert conditions(STAGE, rejected)[0] == "rejected"
-    assert conditions(STAGE, rejected._replace(alive=np.zeros(8, bool))) == ["down"] * 8
+    assert conditions(rejected)[0] == "rejected"
+    assert conditions(rejected._replace(alive=np.zeros(8, bool))) == ["down"] * 8
 
 
 def test_the_oldest_share_is_per_receiver():
     ages = np.arange(len(STAGE.heard))
     expected = [ages[STAGE.heard[:, 0] == node].max() for node in range(8)]
-    assert oldest(STAGE, FRAME._replace(ages=ages)).tolist() == expected
+    assert oldest(FRAME._replace(ages=ages)).tolist() == expected
 
 
 def test_the_cursor_meets_every_frame_of_every_cycle():
