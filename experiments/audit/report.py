@@ -12,6 +12,7 @@ from concord.experiments.monte_carlo.intervals import chi_square_quantile
 from concord.scenarios.rules import is_set_valued
 
 _STEPS_AROUND = 10
+_LONGEST_VALUE = 40
 _RARE = 0.999
 # The recorder of a run whose environment is killed loses what is under way.
 _STEPS_CUT = 10
@@ -129,13 +130,19 @@ def _mean(values: np.ndarray) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
+def _brief(value: object) -> str:
+    """Return a value; of a long one, such as all links of a graph, only how it begins."""
+    text = str(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
 def _words(change: dict[str, Any]) -> str:
     """Return an event in the words of `--changes`."""
     match change:
         case {"what": "left" | "gone" | "joined" as what, "node": node}:
             return f"{what} {node}"
         case {"what": "settings", "settings": settings}:
-            return "set " + " ".join(f"{name}={value}" for name, value in settings.items())
+            return "set " + " ".join(f"{name}={_brief(value)}" for name, value in settings.items())
         case {"what": "fault", "kind": kind, "nodes": nodes, "numbers": numbers}:
             return " ".join([kind, *map(str, nodes), *(f"{number:g}" for number in numbers)])
         case _:
