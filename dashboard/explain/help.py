@@ -29,6 +29,11 @@ _VERDICTS = {
     "OVERCONFIDENT": "errors are larger than the nodes believe, by the factor shown",
     "DISAGREEING": "estimates differ by more than the nodes believe",
 }
+_GESTURES = {
+    "right button, or left with Ctrl": "on a node or a link: a menu of changes",
+    "left button from node to node": "cuts the link, heals it, or adds one that the network lacks",
+    "left button from a node to free ground": "a sensor that sees one target stands there",
+}
 _KEYS = {
     "P": "pause or resume", "N, B": "one step on, one back", "G": "newest step",
     "I, O": "loop from here, to here", "J, K": "next, previous node",
@@ -49,6 +54,7 @@ def help_panel(view: View, frame: StepFrame) -> str:
         f'color:{css(theme.text)}">{_heading(theme, "In the scene")}{marks}'
         f"{_words(theme, f'Verdict on the last {STEPS} steps', _VERDICTS)}"
         f"{_words(theme, 'Table of nodes', HEADINGS)}{_words(theme, 'Charts', CHARTS)}"
+        f"{_words(theme, 'Changes of a running network, in the scene', _GESTURES)}"
         f"{_words(theme, 'Keys', _KEYS)}</div>"
     )
 
