@@ -1,5 +1,6 @@
 """Result of an audit: promises, joins, and consistency around events."""
 
+from bisect import bisect_right
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -116,8 +117,10 @@ def _around(evidence: Evidence) -> list[Around]:
     values = np.ma.masked_invalid(nees.values).mean(axis=1).filled(np.nan)
     found = []
     events = [one for one in evidence.events if one[1]["what"] != "pace"]
+    # The last one is beyond all events.
+    steps = [*sorted({step for step, _ in events}), len(values)]
     for step, change in events:
-        next_step = min((later for later, _ in events if later > step), default=len(values))
+        next_step = steps[bisect_right(steps, step, hi=len(steps) - 1)]
         before = values[max(step - _STEPS_AROUND, 0) : step]
         after = values[step : min(step + _STEPS_AROUND, next_step)]
         jumps = bool((after > bound).any() and not (before > bound).any())

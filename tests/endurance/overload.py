@@ -35,9 +35,11 @@ class Options:
     minutes: float = 5.0
     """Time under load."""
     times: float = 3.0
-    """Demand, as a multiple of what all processors of this machine give."""
+    """Demand, as a multiple of what the processors of this machine give."""
     nodes: int = 16
     """Size of the network."""
+    processors: float | None = None
+    """Processors of this machine, where a control group allows less than all of them."""
 
 
 def main_thread_s(pid: int) -> float:
@@ -63,7 +65,7 @@ def overload(options: Options, folder: Path) -> None:
     setup = prepare(setup.scenario.with_(steps=int(seconds / tempo.step_s)))
     network = Running(setup, "overload", folder, tempo=tempo)
     time.sleep(WARM_S)
-    processors = len(os.sched_getaffinity(0))
+    processors = options.processors or len(os.sched_getaffinity(0))
     used = demand(network, options.nodes)
     factor = options.times * processors / used
     for node in range(options.nodes):
@@ -74,7 +76,7 @@ def overload(options: Options, folder: Path) -> None:
         raise SystemExit(f"the network did not end by itself: {network.failure}")
     say(
         f"{options.nodes} nodes, {setup.scenario.steps} steps of {tempo.step_s * 1e3:g} ms; "
-        f"{used:.2f} of {processors} processors without the fault, slow-cpu {factor:.1f}: "
+        f"{used:.2f} of {processors:g} processors without the fault, slow-cpu {factor:.1f}: "
         f"{options.times:g} times the machine"
     )
     messages = network.recorded()

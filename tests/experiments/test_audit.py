@@ -3,13 +3,18 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import xarray
+from hypothesis import given
+from hypothesis import strategies as st
 
 from concord.experiments.audit.member_history import member_history_of
 from concord.experiments.audit.promises import PROMISES
-from concord.experiments.audit.report import audit
+from concord.experiments.audit.report import _around, audit
 from concord.experiments.cli.command_line import main
 from concord.experiments.results.folder import ARRAYS, RECORDING, describe, write_arrays
 from concord.experiments.results.trace import read_trace
@@ -17,7 +22,7 @@ from concord.nodes.messages import Timing, encode
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.types.frame_formats import frame_format
-from tests.experiments.support import small
+from tests.experiments.support import scenario, small
 
 pytestmark = pytest.mark.slow
 
@@ -281,3 +286,18 @@ def test_a_folder_without_evidence_is_refused(tmp_path: Path, spoil, message: st
         main(["audit", str(folder)])
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
+
+
+@given(st.lists(st.tuples(st.integers(0, 24), st.integers(0, 3)), max_size=12))
+def test_what_follows_an_event_ends_with_the_next_event(told: list[tuple[int, int]]):
+    """Also where the recording tells events out of order, and several of one step."""
+    values = np.random.default_rng(1).uniform(1, 3, (25, 4))
+    nees = xarray.DataArray(values, dims=("step", "node"), attrs={"states": ["a", "b"]})
+    events = [(step, {"what": "left", "node": node}) for step, node in told]
+    evidence: Any = SimpleNamespace(
+        scenario=scenario(nodes=4), arrays={"nees": nees}, events=events
+    )
+    for (step, _), around in zip(told, _around(evidence), strict=True):
+        later = [other for other, _ in told if other > step]
+        after = values[step : min([step + 10, *later])]
+        assert around.after == pytest.approx(after.mean(axis=1).mean(), nan_ok=True)
