@@ -70,9 +70,7 @@ class Monkey:
                 page.key(what)
             case "row":
                 what = str(choose.randrange(page.dashboard.stage.nodes))
-                row = page.page.locator(row_of(int(what)))
-                if row.count():
-                    row.first.dispatch_event("pointerdown")
+                self._event(page.page.locator(row_of(int(what))), "pointerdown")
             case "step":
                 what = str(choose.randrange(-3, 40))
                 page.dashboard.inputs.alter(lambda view: view.look_at(int(what)))
@@ -103,13 +101,22 @@ class Monkey:
     def _click(self, kind: str, what: str) -> None:
         page = self._page.page
         if kind == "box":
-            target = self._page.widget(what).locator("input").first
+            target = self._page.widget(what).locator("input")
         elif kind == "tab":
-            target = page.get_by_text(what, exact=True).first
+            target = page.get_by_text(what, exact=True)
         else:
-            target = page.get_by_role("button", name=what, exact=True).first
-        if target.count() and target.is_visible():
-            target.dispatch_event("click")
+            target = page.get_by_role("button", name=what, exact=True)
+        self._event(target, "click")
+
+    def _event(self, target: Any, event: str) -> None:
+        """Do it to the first such element that is there now.
+
+        A locator would wait for an element whose name has just changed, as Pause does to Resume at
+        the end of a recording, and nothing draws the page while it waits.
+        """
+        for element in target.element_handles()[:1]:
+            if element.is_visible():
+                element.dispatch_event(event)
 
 
 def torment(page: Page, seed: int, seconds: float) -> int:
