@@ -35,11 +35,11 @@ from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
-from concord.scenarios.python_words import python_words
 from concord.scenarios.scenario import Scenario, in_words
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.options import ScenarioOptions, SweptOptions
+from concord.scenarios.types.python_words import python_words
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import kept_source
 

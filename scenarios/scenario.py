@@ -5,7 +5,6 @@ from typing import Annotated, Any, Unpack
 import msgspec
 import numpy as np
 
-from concord.scenarios.python_words import python_words
 from concord.scenarios.types.assignment import assigned, refuse_left
 from concord.scenarios.types.buses import BusChoice, FlexRay, FullSchedule, bus_type
 from concord.scenarios.types.declarations import every_option
@@ -14,6 +13,7 @@ from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option
 from concord.scenarios.types.options import ScenarioOptions
 from concord.scenarios.types.plants import PlantChoice
+from concord.scenarios.types.python_words import python_words
 from concord.scenarios.types.rules import CovarianceIntersection, RuleChoice
 
 

@@ -1,5 +1,7 @@
 """Compare each change with a network that has the same effect for another reason."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -23,12 +25,14 @@ from concord.nodes.changes import (
     Set,
     after,
 )
+from concord.nodes.commands import Configure
 from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.history import AbsentSteps, Epoch, history_of
 from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from concord.nodes.node import initial_state
-from concord.scenarios.build import build_node
-from concord.scenarios.preparation import prepare
+from concord.nodes.run_controller import ProcessStarter, RunController
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.preparation import complete_settings, prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
@@ -264,3 +268,29 @@ def test_members_are_those_that_left_and_did_not_return(turns: list, since: int)
         assert [history.is_in(node, at) for at in range(60)] == members
         shorter = history.since(since)
         assert [shorter.is_in(node, at) for at in range(since, 60)] == members[since:]
+
+
+@pytest.mark.parametrize(
+    ("name", "states", "asked", "stands"),
+    [
+        ("oscillator", 2, ({"rule": "hcmci"}, {"rounds": 2}), {"rule": "hcmci", "rounds": 2}),
+        # A sensor that moves while another move waits does not send the other one back.
+        ("target-tracking", 5, ({"placement": "0@1/2"}, {"placement": "1@3/4"}),
+         {"placement": "at:1.0/2.0;3.0/4.0;"}),
+    ],
+)  # fmt: skip
+def test_settings_that_wait_for_the_same_step_all_hold(
+    name: str, states: int, asked: tuple[dict, ...], stands: dict
+):
+    setup = small(name, steps=40, nodes=4, graph="complete")
+    starter = ProcessStarter(lambda _: None, lambda _: True, partial(complete_settings, setup))
+    controller = RunController(build_environment(setup), (), starter)
+    controller.begin()
+    for one in asked:
+        controller.command(Configure(one))
+    for step, node in np.ndindex(controller.state.released, 4):
+        size = states * (states + 1) // 2
+        controller.take(Estimate(node, step, [0.0] * states, [0.0] * size, [], {}))
+    found = controller.state.standing.settings
+    assert found.keys() == stands.keys()
+    assert all(str(found[key]).startswith(str(value)) for key, value in stands.items())
