@@ -46,7 +46,7 @@ class EstimateHistory(NamedTuple):
     """Estimates of a run: mean (steps, N, n), cov (steps, N, n, n), NaN where a node was out.
 
     The truth is (steps, n); the readings are (steps, N, r, d), NaN without a reading. The control
-    is (steps, p) or None.
+    is (steps, p) or None. `heard` (steps, N): the node used a share that was sent in the step.
     """
 
     setup: Setup
@@ -55,6 +55,7 @@ class EstimateHistory(NamedTuple):
     cov: np.ndarray
     readings: np.ndarray
     control: np.ndarray | None
+    heard: np.ndarray
 
     def same_bits(self, other: "EstimateHistory") -> bool:
         """Return whether all estimates are equal, bit for bit."""
@@ -79,6 +80,7 @@ def history_of_run(setup: Setup, record: RunRecord) -> EstimateHistory:
     shape = (scenario.steps, scenario.nodes, len(setup.prior_mean))
     mean = np.full(shape, np.nan)
     cov = np.full((*shape, shape[-1]), np.nan)
+    heard = np.zeros(shape[:-1], dtype=bool)
     for step in range(scenario.steps):
         for node in range(scenario.nodes):
             said = record.estimates.get((step, node))
@@ -88,8 +90,9 @@ def history_of_run(setup: Setup, record: RunRecord) -> EstimateHistory:
             if said is not None:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
+                heard[step, node] = any(0 <= age < record.history.rounds for age in said.ages)
     truth = np.array([from_wire(record.truths[step].state) for step in range(scenario.steps)])
-    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, record))
+    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, record), heard)
 
 
 def _told(scenario: Scenario, record: RunRecord) -> tuple[np.ndarray, np.ndarray | None]:
@@ -180,9 +183,10 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
         now, then = of(run, calm, level), of(calm, calm, level)
         if now > _FACTOR * then + _PART:
             raise Broken(invariant, f"{now:.4g} variances, and {then:.4g} without faults")
-    # A node that hears little in some of these steps is back all the same.
+    # A node that hears little in some of these steps is back all the same. A node that hears
+    # nothing in all of them shows nothing; the ledger accounts for every frame on its way to it.
     least, usual = _sizes(run, level).min(axis=0), _sizes(calm, level).mean(axis=0)
-    grown = (least - usual).max(initial=0.0)
+    grown = (least - usual)[run.heard[level].any(axis=0)].max(initial=0.0)
     if grown > _SIZE:
         raise Broken(
             "covariances come back", f"variances of a node are {np.exp(grown):.3g} times as large"

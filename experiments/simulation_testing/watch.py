@@ -14,7 +14,7 @@ from concord.experiments.simulation_testing.weights import promised_weights
 from concord.filters.fusion.averaging import Averaged, Fused
 from concord.filters.gaussian import Gaussian, joined
 from concord.nodes.belief_codec import belief_of
-from concord.nodes.changes import Standing
+from concord.nodes.changes import Settings, Standing
 from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator, Rejected
 from concord.nodes.messages import Measured
@@ -41,15 +41,20 @@ class _Share(NamedTuple):
     body: bytes
 
 
-def watched(config: NodeConfig, ledger: OracleLedger, scenario: Scenario) -> NodeConfig:
-    """Return the same node, and every node that it becomes, with an eye on its estimator."""
+def watched(
+    config: NodeConfig, ledger: OracleLedger, original: Scenario, settings: Settings | None = None
+) -> NodeConfig:
+    """Return the same node, and every node that it becomes, with an eye on its estimator.
+
+    All settings of a network apply together to its original scenario.
+    """
     rebuild = config.rebuild
 
     def rebuilt(standing: Standing, step: int, belief: EarlierBelief | None) -> NodeConfig:
         assert rebuild is not None, "a node of a scenario can be rebuilt"
-        changed, _ = scenario.with_known(**standing.settings)
-        return watched(rebuild(standing, step, belief), ledger, changed)
+        return watched(rebuild(standing, step, belief), ledger, original, standing.settings)
 
+    scenario, _ = original.with_known(**(settings or {}))
     return replace(config, estimator=WatchedEstimator(config, ledger, scenario), rebuild=rebuilt)
 
 

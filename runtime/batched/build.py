@@ -9,7 +9,7 @@ import numpy as np
 from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
-from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.changes import UNCHANGED, Settings, Standing
 from concord.nodes.commands import Configure, Inject, Kill
 from concord.nodes.faults.losses import LinkState, hears_all
 from concord.nodes.lanes.links import Links, Shares, links_of, places
@@ -70,11 +70,12 @@ def _loses_clocks(scenario: Scenario) -> bool:
 
 
 def _set_in(scenario: Scenario) -> Iterator[Scenario]:
-    """The scenario each time that its changes have set something."""
+    """The scenario each time that its changes have set something: all settings apply together."""
+    settings: Settings = {}
     for _, command in script_of(scenario):
         if isinstance(command, Configure):
-            scenario, _ = scenario.with_known(**command.settings)
-            yield scenario
+            settings = {**settings, **command.settings}
+            yield scenario.with_known(**settings)[0]
 
 
 def changes_of(setup: Setup) -> tuple[ScriptedChange, ...]:

@@ -4,6 +4,7 @@ import shlex
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from concord.bus.flexray.publication import Slot
@@ -162,7 +163,8 @@ def test_errors_that_the_filter_alone_makes_too_are_not_the_networks(seed: int):
 def test_a_network_that_believes_too_much_where_its_filter_does_not_is_found():
     setup = prepare(scenario("target-tracking", nodes=4, steps=12, stretch=100.0))
     trace = read_trace(setup, in_memory(setup))
-    run = EstimateHistory(setup, trace.truth, trace.mean, trace.cov, trace.readings, None)
+    heard = np.ones(trace.mean.shape[:2], dtype=bool)
+    run = EstimateHistory(setup, trace.truth, trace.mean, trace.cov, trace.readings, None, heard)
     check_consistency(run)
     with pytest.raises(Broken, match="errors are as believed"):
         check_consistency(run._replace(cov=1e-3 * run.cov))
@@ -182,6 +184,16 @@ def test_which_reading_reaches_a_node_in_a_single_step_is_luck():
 def test_a_node_that_hears_little_for_some_steps_is_no_loss_of_its_covariance():
     """Sets of a node were 2.06 times as large in ten steps, long after all frames came again."""
     assert run_case(draw_case(990448, {})).broken is None
+
+
+def test_a_node_that_hears_nothing_at_all_shows_nothing():
+    """The last node of a path hears two shares in 37 steps without faults, and one with them."""
+    assert run_case(draw_case(992736, {})).broken is None
+
+
+def test_all_settings_together_apply_to_the_original_scenario():
+    """A rule that is set and set back has the hold policy that it had."""
+    assert run_case(draw_case(992354, {})).broken is None
 
 
 @pytest.mark.parametrize("seed", [940032, 940364])
