@@ -32,6 +32,7 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import ALL_CHANNELS, FlexRay
+from concord.scenarios.types.plants import PlacedSensors
 
 # These words, beside the fault words, begin no fault.
 OTHER_WORDS = ("restart", "heal", "set")
@@ -61,6 +62,8 @@ _RANGES = {
 }
 _PROBABILITIES = (0.05, 0.9)
 _HARMLESS_SWARMS = 0.25
+# Part of the networks whose links or sensors change, and how often they do in a step.
+_REDRAWN, _REDRAW_RATE = 0.5, 0.1
 
 
 def draw_script(generator: np.random.Generator, setup: Setup, calm_step: int) -> tuple[str, ...]:
@@ -135,6 +138,8 @@ class _Author:
 
     def __init__(self, generator: np.random.Generator, setup: Setup) -> None:
         self._generator, self._setup = generator, setup
+        # A stream of its own leaves all other draws as they are without it.
+        self._apart = generator.spawn(1)[0]
         self._links = [(s, r) for r, heard in enumerate(setup.neighbours) for s in heard]
         self._absent: list[int] = []
         self._cuts: set[tuple[int, int]] = set()
@@ -162,7 +167,10 @@ class _Author:
                 rates.pop("babble", None)
             if not _is_redundant(self._setup.scenario):
                 rates.pop("channel", None)
+        redrawn = self._apart.random() < _REDRAWN
         for step in range(1, calm_step):
+            if redrawn and self._apart.random() < _REDRAW_RATE:
+                self._redraw(step)
             for kind, rate in rates.items():
                 if self._generator.random() < rate:
                     self._write(step, kind, harmless)
@@ -252,9 +260,26 @@ class _Author:
         drawn = self._generator.uniform(least, most + number.is_whole)
         return int(drawn) if number.is_whole else round(float(drawn), 2)
 
+    def _redraw(self, step: int) -> None:
+        """Add a link to the graph, or move a sensor; all links of the beginning stay."""
+        nodes = self._setup.scenario.nodes
+        node, other = self._apart.choice(nodes, size=2, replace=False).tolist()
+        x, y = self._apart.integers(0, 1000, size=2).tolist()
+        links = dict.fromkeys([*self._links, (node, other), (other, node)])
+        scenario = self._setup.scenario
+        can_move = (
+            isinstance(scenario.plant, PlacedSensors) and scenario.network.graph != "geometric"
+        )
+        if can_move and self._apart.random() < 0.5:
+            self._configure(step, "placement", f"{node}@{x}/{y}")
+        elif len(links) > len(self._links):
+            self._configure(step, "graph", "edges:" + ";".join(f"{s}>{r}" for s, r in links))
+
     def _set(self, step: int) -> None:
         name = self._one(list(_SETTINGS))
-        value = self._one(_SETTINGS[name])
+        self._configure(step, name, self._one(_SETTINGS[name]))
+
+    def _configure(self, step: int, name: str, value: Any) -> None:
         try:
             settings = complete_settings(self._setup, self._settings, {name: value})
         except ValueError:

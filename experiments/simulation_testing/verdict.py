@@ -38,8 +38,9 @@ _SET_TOLERANCE = 1e-6
 # a factor, and a part of the variance itself.
 _FACTOR, _PART = 2.0, 1.0
 _SIZE = np.log(2.0)
-# Variances are rounding below this part of the first ones.
-_ROUNDING = 1e-12
+# Below this part of the first ones variances are rounding: shares of single length carry 1e-7 of a
+# state.
+_ROUNDING = 1e-10
 
 
 class EstimateHistory(NamedTuple):
