@@ -14,13 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from concord.experiments.identification.likelihood import (
-    Likelihood,
-    LoggedReadings,
-    likelihood,
-    logged_readings,
-    widths_of,
-)
+from concord.experiments.identification.likelihood import Likelihood, likelihood, widths_of
+from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
 from concord.experiments.identification.slip_claim import SlipClaim, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
 from concord.experiments.identification.sought import (

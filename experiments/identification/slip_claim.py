@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from concord.experiments.identification.likelihood import LoggedReadings, judged, squared
+from concord.experiments.identification.lane_filter import LaneFilter
+from concord.experiments.identification.likelihood import squared
+from concord.experiments.identification.logged_readings import LoggedReadings
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.run_verdict import anees_interval
 from concord.plants.vehicle.model import Tyre
@@ -52,7 +54,7 @@ def slip_claim(log: LoggedReadings, car: Car, tyre: Tyre, least_rad: float) -> S
     lanes = replace(car, sensors=deaf, process_noise=noises)
     of_slip = np.array([name == "side_slip" for name in log.sensors])
     squares, totals, freedoms = [], np.zeros(count), 0
-    for innovation, cov in judged(log, lanes, tyre, count):
+    for innovation, cov in LaneFilter(log, lanes, tyre, count).blocks():
         claimed = np.diagonal(cov, axis1=-2, axis2=-1) - _UNHEARD_RAD**2 + sheet.noise**2
         each = np.square(innovation[..., of_slip]) / claimed[..., of_slip]
         squares.append(each[np.isfinite(each).all(axis=(1, 2))].mean(axis=-1))

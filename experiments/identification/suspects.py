@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.experiments.identification.fit import NORMAL_95
-from concord.experiments.identification.likelihood import LoggedReadings, likelihood, values_at
+from concord.experiments.identification.likelihood import likelihood, values_at
+from concord.experiments.identification.logged_readings import LoggedReadings
 from concord.experiments.identification.sought import Sought, value_at
 from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car

@@ -19,6 +19,7 @@ UNITS = {
     "s": 1.0,
     "ms": 1e-3,
     "us": 1e-6,
+    "ns": 1e-9,
     "m": 1.0,
     "rad": 1.0,
     "deg": math.pi / 180,
@@ -27,13 +28,14 @@ UNITS = {
     "m/s": 1.0,
     "km/h": 1 / 3.6,
     "mph": 0.44704,
+    "kn": 1852 / 3600,
     "m/s2": 1.0,
     "g": GRAVITY_M_S2,
 }
 """Factor from a unit to SI."""
 _ALIKE = (
-    ("s", "ms", "us"), ("m",), ("rad", "deg"), ("rad/s", "deg/s"), ("m/s", "km/h", "mph"),
-    ("m/s2", "g"),
+    ("s", "ms", "us", "ns"), ("m",), ("rad", "deg"), ("rad/s", "deg/s"),
+    ("m/s", "km/h", "mph", "kn"), ("m/s2", "g"),
 )  # fmt: skip
 """Units of one quantity, that of SI first."""
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 class DatasetFile:
     """Variables of one dimension each; a coordinate of that dimension stamps them.
 
-    The coordinate holds dates (`datetime64`), or numbers with the attribute `units`: s, ms or us.
-    Dates count from 1970, exact to 0.3 us.
+    The coordinate holds dates (`datetime64`), or numbers with the attribute `units`: s, ms, us or
+    ns. Dates count from 1970, exact to 0.3 us.
     """
 
     def __init__(self, file: Path) -> None:

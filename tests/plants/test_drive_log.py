@@ -191,7 +191,7 @@ def test_what_spreadsheets_write_is_read_or_named(tmp_path: Path):
         ('time = { column = "t", unit = "s" }', "yaw_rate"),
         (MAP.replace('"ms"', '"fortnight"'), "units are s, ms"),
         (MAP.replace('"deg/s"', '"km/h"'), "yaw_rate in 'km/h'; units are rad/s, deg/s"),
-        (MAP.replace('"ms"', '"m"'), "time in 'm'; units are s, ms, us"),
+        (MAP.replace('"ms"', '"m"'), "time in 'm'; units are s, ms, us, ns"),
         (MAP.replace("steering_wheel", "steeringwheel"), "steeringwheel"),
         (MAP.replace('steering_wheel = { column = "wheel angle", unit = "deg" }', ""), "neither"),
         (MAP.replace('rear_left_wheel = { column = "rl", unit = "km/h" }', ""), "both rear wheels"),
@@ -207,3 +207,15 @@ def test_a_folder_without_its_files_is_refused(tmp_path: Path):
         read_folder(tmp_path / "nowhere")
     with pytest.raises(ValueError, match=r"car\.toml"):
         read_folder(tmp_path)
+
+
+def test_stamps_in_ns_and_speeds_in_knots_are_read(tmp_path: Path):
+    """Receivers give knots, and the clocks of recorders count nanoseconds since 1970."""
+    start = 1_700_000_000_000_000_000
+    rows = "".join(f"{start + k * 10_000_000},1,0,36,36,0,\n" for k in range(5))
+    folder = log(tmp_path, rows)
+    in_ns = MAP.replace('"ms"', '"ns"').replace('"km/h"', '"kn"')
+    (folder / "columns.toml").write_text(in_ns)
+    drive = read_folder(folder).drive
+    assert drive.time_step_s == pytest.approx(0.01, rel=1e-4)
+    np.testing.assert_allclose(drive.speed_m_s, 18.52)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from msgspec import structs
 
-from concord.experiments.identification.likelihood import logged_readings
+from concord.experiments.identification.logged_readings import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.experiments.identification.suspects import Suspect, suspect
 from concord.experiments.identification.without_slip import (

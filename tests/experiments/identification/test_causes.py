@@ -13,11 +13,8 @@ import pytest
 from msgspec.structs import replace
 
 from concord.experiments.__main__ import main
-from concord.experiments.identification.likelihood import (
-    likelihood,
-    logged_readings,
-    values_at,
-)
+from concord.experiments.identification.likelihood import likelihood, values_at
+from concord.experiments.identification.logged_readings import logged_readings
 from concord.experiments.identification.sought import car_with, sought_of
 from concord.experiments.identification.suspects import suspect
 from concord.experiments.monte_carlo.intervals import Interval

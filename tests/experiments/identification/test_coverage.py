@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from concord.experiments.identification.likelihood import likelihood, logged_readings, widths_of
+from concord.experiments.identification.likelihood import likelihood, widths_of
+from concord.experiments.identification.logged_readings import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.plants.vehicle.drive_log import channels_of
 from concord.plants.vehicle.model import tanh_tyre

@@ -14,12 +14,8 @@ from msgspec.structs import replace
 
 from concord.experiments.__main__ import main
 from concord.experiments.identification.fit import fit
-from concord.experiments.identification.likelihood import (
-    likelihood,
-    logged_readings,
-    values_at,
-    widths_of,
-)
+from concord.experiments.identification.likelihood import likelihood, values_at, widths_of
+from concord.experiments.identification.logged_readings import logged_readings
 from concord.experiments.identification.sought import sought_of, value_at
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.experiments.results.run_verdict import anees_interval

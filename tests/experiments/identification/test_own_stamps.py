@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from concord.experiments.identification.fit import fit
-from concord.experiments.identification.likelihood import likelihood, logged_readings
+from concord.experiments.identification.likelihood import likelihood
+from concord.experiments.identification.logged_readings import logged_readings
 from concord.experiments.identification.sought import sought_of
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.corrections import channels_of_nodes
