@@ -87,8 +87,7 @@ class Plot:
         """Return the axes of time and of the values: their room, and the least space of ticks."""
         line: Any = {"stroke": css(self._theme.faint), "width": 1}
         ticks: Any = {**line, "size": 4}
-        # The label shares the row of the numbers' descenders.
-        named: Any = {"label": "time [s]", "labelSize": 13, "labelGap": -3, "labelFont": _FONT}
+        named: Any = {"label": "time [s]", "labelSize": 14, "labelGap": 0, "labelFont": _FONT}
         across, up = (
             uplot.Axis(
                 size=size, space=space, gap=3, stroke=css(self._theme.quiet), grid=line,

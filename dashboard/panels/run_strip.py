@@ -10,7 +10,7 @@ from concord.dashboard.digits import rounded
 from concord.dashboard.frames.frame import LogEntry
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
+from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH, readable
 from concord.dashboard.theme import Theme, css, mixed
 from concord.dashboard.view import View
 
@@ -51,11 +51,12 @@ class RunStrip:
         place = LEFT + (WIDTH - LEFT - RIGHT) * (bins.edges - bins.edges[0]) / span
         shown = np.interp(step + 0.5, bins.edges, place)
         ink, quiet, name = css(theme.text), css(theme.quiet), stage.error_name
-        return (
+        return readable(
             f'<svg data-testid="run" viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" width="100%" '
             f'style="display:block;cursor:pointer"><style>.bin:hover{{fill:{ink};'
             f"fill-opacity:.25}}</style>"
-            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}, log</text>'
+            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}'
+            f'<tspan class="wide">, log</tspan></text>'
             f'<text x="6" y="{_HEIGHT - 4:g}" font-size="10.5" fill="{quiet}">missed</text>'
             f"{_loop(theme, place, bins.edges, view.loop)}{_heat(theme, place, bins.missed)}"
             f"{_line(theme, place, bins.rmse)}"

@@ -16,6 +16,7 @@ from concord.dashboard.panels.timeline_marks import (
     legend,
     missed_and_rejected,
     names_of_trains,
+    readable,
     silent_slot,
     slot,
 )
@@ -60,9 +61,8 @@ class TimelineView:
             self._bar(axis, theme, cycle, now_us, selected),
             _raster(axis, theme, past),
             "</svg>",
-            legend(theme, cycle, frame.cycles),
         ]
-        return "".join(parts)
+        return readable("".join(parts)) + legend(theme, cycle, frame.cycles)
 
     def _bar(
         self,
@@ -74,7 +74,8 @@ class TimelineView:
     ) -> str:
         """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
-            f'<text x="6" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
+            f'<text class="wide" x="6" y="{TOP + 15:g}" font-size="11.5" '
+            f'fill="{css(theme.text)}">cycle</text>'
             f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
             f'data-testid="bus-cycle">{cycle.bus_cycle}</text>'
         ]
@@ -132,7 +133,7 @@ def _headings(axis: Axis, theme: Theme, bus: Bus) -> str:
         if wide < 7.2 * len(label):
             label = label.split()[0] if wide > 7.2 * len(label.split()[0]) else ""
         text.append(
-            f'<text x="{axis.x(part.start_us):.1f}" y="13" font-size="10.5" '
+            f'<text x="{axis.x(part.start_us):.1f}" y="15" font-size="10.5" '
             f'fill="{css(theme.quiet)}">{label}</text>'
         )
     return "".join(text)
@@ -163,7 +164,7 @@ def _raster(axis: Axis, theme: Theme, past: Sequence[BusCycle]) -> str:
         share = 1.0 - 0.065 * number
         if number in (0, len(past) - 1, RASTER_ROWS // 2):
             parts.append(
-                f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
+                f'<text x="6" y="{y + ROW - 2:g}" font-size="11" fill="{css(theme.quiet)}">'
                 f"{cycle.bus_cycle}</text>"
             )
         for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):

@@ -13,6 +13,24 @@ WIDTH, LEFT, RIGHT = 1000.0, 62.0, 8.0
 TOP, BAR, ROW = 20.0, 34.0, 9.0
 
 
+# Widths of a panel below which the letters of a drawing grow, in pixels; their size in it, the room
+# for a text beside its usual room, and the class of texts that have less.
+_NARROW = ((800, 14, 1.4, "crowded"), (560, 20, 2.0, "wide"))
+
+
+def readable(drawing: str) -> str:
+    """Return a drawing of `WIDTH` whose letters can be read in a narrow panel too."""
+    rules = "".join(
+        f"@container (max-width:{most_px}px){{.drawing text{{font-size:{size}px}}"
+        f".drawing .{left_out}{{display:none}}}}"
+        for most_px, size, _, left_out in _NARROW
+    )
+    return (
+        f'<div class="drawing" style="container-type:inline-size"><style>{rules}</style>'
+        f"{drawing}</div>"
+    )
+
+
 class Axis(NamedTuple):
     """The time of a cycle from left to right."""
 
@@ -38,7 +56,8 @@ def names_of_trains(axis: Axis, theme: Theme, names: Sequence[str], cycle: BusCy
         single = axis.x(train[0].end_us) - x
         if len(train) > 1 and single < _room(_short(name)) and right - x > _room(name):
             text.append(
-                f'<text x="{(x + right) / 2:.1f}" y="{TOP + BAR / 2 + 4:g}" font-size="11" '
+                f'<text{_if_wide(name, right - x)} x="{(x + right) / 2:.1f}" '
+                f'y="{TOP + BAR / 2 + 4:g}" font-size="11" '
                 f'text-anchor="middle" fill="{css(theme.text)}" stroke="{css(theme.panel)}" '
                 f'stroke-width="3" paint-order="stroke" pointer-events="none">'
                 f"{escape(name)}</text>"
@@ -66,7 +85,8 @@ def slot(
         size = 10 if wide < 22 else 11
         ink = theme.panel if state != "future" else theme.quiet
         text = (
-            f'<text x="{x + wide / 2:.1f}" y="{top + high / 2 + 4:g}" font-size="{size}" '
+            f'<text{_if_wide(_short(name), wide)} x="{x + wide / 2:.1f}" '
+            f'y="{top + high / 2 + 4:g}" font-size="{size}" '
             f'text-anchor="middle" fill="{css(ink if theme.dark else _INK[state])}">'
             f"{escape(_short(name))}</text>"
         )
@@ -166,6 +186,12 @@ _INK = {"past": (20, 30, 40), "now": (20, 30, 40), "future": (120, 126, 138)}
 def _room(text: str) -> float:
     """Pixels that a text takes."""
     return 6.0 * len(text) + 3
+
+
+def _if_wide(text: str, wide: float) -> str:
+    """Return the classes of a text in a box, for which narrow panels have no room."""
+    classes = [name for *_, times, name in _NARROW if wide < times * _room(text)]
+    return f' class="{" ".join(classes)}"' if classes else ""
 
 
 def _short(name: str) -> str:

@@ -27,6 +27,15 @@ _BUS_WIDTH = (
     "()=>document.querySelector('[data-testid=timeline]')?.getBoundingClientRect().width ?? 0"
 )
 
+# Sizes of the letters in the drawings of the bus panel, and the places of the names in slots.
+_LETTERS = """() => [...document.querySelectorAll('.drawing text')].flatMap(text => {
+    const shown = text.getBoundingClientRect();
+    if (!shown.width) return [];
+    const size = parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a;
+    const slot = text.parentNode.querySelector(':scope.slot > rect')?.getBoundingClientRect();
+    return [[size, slot ? Math.max(slot.left - shown.left, shown.right - slot.right) : 0]];
+})"""
+
 
 @pytest.fixture(scope="module")
 def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
@@ -73,6 +82,17 @@ def is_laid_out(page: Any, width: int, height: int) -> bool:
 def test_the_panels_fit_the_window(page: Page, size: tuple[int, int]):
     other = visitor(page, size)
     page.until(lambda: is_laid_out(other, *size))
+    other.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_letters_of_the_bus_can_be_read_and_stay_in_their_slots(page: Page, size: tuple[int, int]):
+    other = visitor(page, size)
+    page.until(lambda: is_laid_out(other, *size))
+    letters = other.evaluate(_LETTERS)
+    assert len(letters) >= 5
+    assert min(size_px for size_px, _ in letters) >= 7.5
+    assert max(beyond_px for _, beyond_px in letters) <= 1
     other.close()
 
 

@@ -56,7 +56,7 @@ def test_the_error_of_the_page_is_gospa_as_that_of_the_results_is():
     history = FrameHistory(STAGE)
     history.add(FRAMES)
     strip = RunStrip().draw(STAGE, View(), history)
-    assert "GOSPA, log" in strip and "RMSE" not in strip
+    assert ">GOSPA<tspan" in strip and "RMSE" not in strip
 
 
 def test_births_and_deaths_in_the_log_are_those_of_the_tracks():
