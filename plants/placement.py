@@ -144,14 +144,14 @@ def moved_sites(word: str, before: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _site(where: str, given: str | ArrayLike, separator: str = ",") -> tuple[float, float]:
     words = given.split(separator) if isinstance(given, str) else np.ravel(np.asarray(given))
+    form = "x, y" if separator == "," else f"x{separator}y"
     try:
         x, y = (float(word) for word in words)
     except ValueError:
         x = y = math.nan
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(
-            f"placement, {where}: {given!r} is no site; give two finite numbers in m, "
-            f"x{separator} y"
+            f"placement, {where}: {given!r} is no site; give two finite numbers in m, {form}"
         )
     return x, y
 

@@ -52,7 +52,16 @@ def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
 
 
 def result_of(named: Path) -> Path:
-    """Return the result that a user names: run.nc stands for the folder of its run."""
+    """Return the result that a user names: run.nc stands for the folder of its run.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if not named.exists():
+        raise ValueError(
+            f"{named} does not exist; name the folder of a run, or the file that `concord sweep` "
+            "or `concord design` has made"
+        )
     of_run = named.name == ARRAYS and (named.parent / DESCRIPTION).is_file()
     return named.parent if of_run else named
 

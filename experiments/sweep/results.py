@@ -148,12 +148,10 @@ def read_result(path: Path) -> "xarray.Dataset":
     Raises:
         ValueError: it cannot be read, or is none of ours.
     """
+    remedy = "name the file that `concord sweep` has made"
     if not path.is_file():
         there = "is a folder" if path.is_dir() else "does not exist"
-        raise ValueError(
-            f"{path} {there}; name the file that `concord sweep` has made, or is to make"
-        )
-    remedy = "name the file that `concord sweep` has made"
+        raise ValueError(f"{path} {there}; {remedy}")
     dataset = read_dataset(path, ("rmse",), remedy)
     if SPECIFICATION not in dataset.attrs:
         raise ValueError(f"{path}: not the result of `concord sweep`: it has no specification")

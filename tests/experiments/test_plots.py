@@ -331,3 +331,11 @@ def test_a_word_without_end_is_not_quoted_whole(
     folder = _described(runs, tmp_path, lambda setup: setup["scenario"]["filter"].update(word))
     capsys.readouterr()
     assert len(refused(concord(capsys, "plot", folder))) < 2000
+
+
+@pytest.mark.parametrize("command", ["plot", "report"])
+def test_a_result_that_is_not_there_may_be_of_a_run_or_of_a_sweep(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    said = refused(concord(capsys, command, tmp_path / "nowhere"))
+    assert "does not exist; name the folder of a run, or the file that `concord sweep`" in said
