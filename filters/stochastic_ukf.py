@@ -16,9 +16,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from concord.filters import ukf
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule
 
 
@@ -77,32 +78,39 @@ def expected_cov(stochastic: SecondMoment, belief: Gaussian) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """The state of the recommended filter."""
+    """The state of a filter on fresh rows."""
 
     belief: Gaussian
 
 
-def start(prior: Gaussian, observation: Observation, rule: SigmaPointRule) -> State:
-    """The state before the first step."""
-    return State(prior)
+def on_fresh_rows(
+    filter_with: Callable[[SigmaPointRule], Filter],
+    moment: Callable[[SecondMoment, Gaussian], np.ndarray] = expected_cov,
+) -> MeasurementFilter:
+    """A filter made of a rule, behind a measurement bus: held rows are constants that it knows.
 
-
-def predict(state: State, dynamics: Dynamics, rule: SigmaPointRule) -> State:
-    """One step later: (10) to (13), E{g g'} over the belief at the step before."""
-    noise_cov = dynamics.noise_cov + expected_cov(dynamics.stochastic, state.belief)
-    return State(ukf.predict(state.belief, dynamics.transition, noise_cov, rule))
-
-
-def update(
-    state: State, received: Received, observation: Observation, rule: SigmaPointRule
-) -> State:
-    """After a slot: the update with the fresh rows alone, from points redrawn as in (14).
-
-    A lane in which nothing is fresh keeps its belief.
+    The second moments of stochastic nonlinearities over the belief, of the step before in the
+    prediction, are added to the noise: (10) to (13). An update draws its points anew, as in (14). A
+    lane in which nothing is fresh keeps its belief.
     """
-    sent = np.where(received.fresh, received.values, np.nan)
-    noise_cov = observation.noise_cov + expected_cov(observation.stochastic, state.belief)
-    return State(ukf.update(state.belief, sent, observation.measure, noise_cov, rule).belief)
+
+    def start(prior: Gaussian, observation: Observation, rule: SigmaPointRule) -> State:
+        return State(prior)
+
+    def predict(state: State, dynamics: Dynamics, rule: SigmaPointRule) -> State:
+        belief, noise_cov = state.belief, dynamics.noise_cov
+        noise_cov = noise_cov + moment(dynamics.stochastic, belief)
+        return State(filter_with(rule).predict(belief, dynamics.transition, noise_cov))
+
+    def update(
+        state: State, received: Received, observation: Observation, rule: SigmaPointRule
+    ) -> State:
+        sent = np.where(received.fresh, received.values, np.nan)
+        noise_cov = observation.noise_cov + moment(observation.stochastic, state.belief)
+        found = filter_with(rule).update(state.belief, sent, observation.measure, noise_cov)
+        return State(found.belief)
+
+    return MeasurementFilter(start, predict, update)
 
 
-RECOMMENDED = MeasurementFilter(start, predict, update)
+RECOMMENDED = on_fresh_rows(SigmaPointFilter)

@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
 from concord.filters.stochastic_ukf import (
@@ -15,8 +14,6 @@ from concord.filters.stochastic_ukf import (
     Observation,
     Received,
     SecondMoment,
-    State,
-    expected_cov,
 )
 
 
@@ -111,26 +108,3 @@ class GaussianReceiver:
     def gap(self, state: Any) -> np.ndarray:
         """Return NaN: no programme is solved."""
         return np.array(np.nan)
-
-
-def on_fresh_rows(filter: Filter) -> MeasurementFilter:
-    """A filter of the nodes behind a measurement bus: held rows are constants that it knows.
-
-    Second moments of stochastic nonlinearities, over the belief, are added to the noise.
-    """
-
-    def start(prior: Gaussian, observation: Observation, rule: SigmaPointRule) -> State:
-        return State(prior)
-
-    def predict(state: State, dynamics: Dynamics, rule: SigmaPointRule) -> State:
-        noise_cov = dynamics.noise_cov + expected_cov(dynamics.stochastic, state.belief)
-        return State(filter.predict(state.belief, dynamics.transition, noise_cov))
-
-    def update(
-        state: State, received: Received, observation: Observation, rule: SigmaPointRule
-    ) -> State:
-        sent = np.where(received.fresh, received.values, np.nan)
-        noise_cov = observation.noise_cov + expected_cov(observation.stochastic, state.belief)
-        return State(filter.update(state.belief, sent, observation.measure, noise_cov).belief)
-
-    return MeasurementFilter(start, predict, update)

@@ -16,7 +16,7 @@ from concord.filters.sets.recursive_estimator import optimal_step
 from concord.filters.sets.tight_estimator import conditioned
 from concord.filters.sets.zonotope_filter import zonotope_step
 from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter
+from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, on_fresh_rows
 from concord.nodes.receivers.constrained_sets import ConstrainedZonotopes
 from concord.nodes.receivers.cyclewise_receiver import (
     CutCycle,
@@ -24,7 +24,7 @@ from concord.nodes.receivers.cyclewise_receiver import (
     augmented_cycle,
     conditioned_cycle,
 )
-from concord.nodes.receivers.gaussian_receiver import GaussianReceiver, System, on_fresh_rows
+from concord.nodes.receivers.gaussian_receiver import GaussianReceiver, System
 from concord.nodes.receivers.set_receivers import MeasuredSets, StepwiseReceiver, without_gap
 from concord.nodes.rules.measurement_bus import Receiver
 from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
@@ -88,8 +88,9 @@ _AS_PRINTED = "concord.papers.meng2025.filter_as_printed"
 
 
 def _gaussian(choice: FilterBase, parts: ReceiverParts) -> Receiver:
-    filter = on_fresh_rows(build_filter(choice, len(parts.prior.mean), parts.points))
-    return GaussianReceiver(parts.system, filter, parts.points, parts.prior)
+    filter = build_filter(choice, len(parts.prior.mean), parts.points)
+    fresh = on_fresh_rows(lambda _: filter)
+    return GaussianReceiver(parts.system, fresh, parts.points, parts.prior)
 
 
 def _recommended(choice: FilterBase, parts: ReceiverParts) -> Receiver:
