@@ -14,6 +14,8 @@ from concord.bus.flexray.files.xml_document import (
     ClusterFileError,
     Element,
     Tag,
+    bit_rate_mbps,
+    chosen_cluster,
     microseconds,
     missing_elements,
     number,
@@ -83,10 +85,11 @@ def cluster_from_arxml(text: str | bytes, name: str | None = None) -> Cluster:
     values = conditional(cluster, "FLEXRAY-CLUSTER")
     _check_complete(values, where)
     count = number(values, f"{AR}CYCLE-COUNT-MAX", int, where)
+    rate, bit_s = (number(values, AR + tag, float, where) for tag in ("BAUDRATE", "BIT"))
     fields: dict[str, Any] = {
         "name": title,
         "channels": "".join(sorted(letter for _, letter in channels_of(cluster, where))),
-        "bit_rate_mbps": _bit_rate_mbps(values, where),
+        "bit_rate_mbps": bit_rate_mbps(rate, microseconds(bit_s or 0.0), "BAUDRATE", where),
         "number_of_cycles": 64 if count is None else 1 + count,
         **{tag.field: _value(values, tag, where) for tag in CLUSTER_TAGS + CLOCK_TAGS},
     }
@@ -108,18 +111,11 @@ def flexray_cluster(root: Element, name: str | None) -> Element:
         ClusterFileError: there is none, or several and no name.
     """
     clusters = {_title(one): one for one in root.iter(f"{AR}FLEXRAY-CLUSTER")}
-    if not clusters:
-        raise ClusterFileError(
-            "the file has no <FLEXRAY-CLUSTER> of the name space http://autosar.org/schema/r4.0; "
-            "export the system with its FlexRay cluster"
-        )
-    if name is None and len(clusters) == 1:
-        return next(iter(clusters.values()))
-    if name not in clusters:
-        wanted = "several <FLEXRAY-CLUSTER>s" if name is None else f"no <FLEXRAY-CLUSTER> {name!r}"
-        names = ", ".join(map(repr, clusters))
-        raise ClusterFileError(f"the file has {wanted}; choose one of {names}")
-    return clusters[name]
+    cure = (
+        "<FLEXRAY-CLUSTER> of the name space http://autosar.org/schema/r4.0; export the system "
+        "with its FlexRay cluster"
+    )
+    return chosen_cluster(clusters, name, "FLEXRAY-CLUSTER", cure)
 
 
 def short_name(element: Element) -> str:
@@ -195,18 +191,6 @@ def _check_complete(values: Element, where: str) -> None:
 def _value(element: Element, tag: Tag, where: str) -> Any:
     found = number(element, AR + tag.name, tag.kind, where)
     return microseconds(found) if found is not None and tag.kind is float else found
-
-
-def _bit_rate_mbps(values: Element, where: str) -> float:
-    rate = (number(values, f"{AR}BAUDRATE", float, where) or 0.0) / 1e6
-    bit_us = microseconds(number(values, f"{AR}BIT", float, where) or 0.0)
-    if not rate and not bit_us:
-        raise ClusterFileError(f"{where}: <BAUDRATE> and <BIT> are 0; state the rate in bit/s")
-    if rate and bit_us and abs(rate * bit_us - 1.0) > 1e-6:
-        raise ClusterFileError(
-            f"{where}: <BAUDRATE> says {rate:g} Mbit/s, but <BIT> {bit_us:g} us; correct one"
-        )
-    return rate or round(1.0 / bit_us, 6)
 
 
 def paths_of(root: Element) -> dict[str, Element]:

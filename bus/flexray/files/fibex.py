@@ -13,6 +13,8 @@ from concord.bus.flexray.files.xml_document import (
     ClusterFileError,
     Element,
     Tag,
+    bit_rate_mbps,
+    chosen_cluster,
     missing_elements,
     number,
     parse_document,
@@ -88,10 +90,11 @@ def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
         for tag in CLUSTER_TAGS + CLOCK_TAGS
     }
     count = number(element, f"{FLEXRAY}CYCLE-COUNT-MAX", int, where)
+    rate, bit_us = (number(element, t, float, where) for t in (f"{FX}SPEED", f"{FLEXRAY}BIT"))
     fields: dict[str, Any] = {
         "name": title,
         "channels": _channels(root, element, where),
-        "bit_rate_mbps": _bit_rate_mbps(element, where),
+        "bit_rate_mbps": bit_rate_mbps(rate, bit_us, "SPEED", where),
         "number_of_cycles": 64 if count is None else 1 + count,
         **stated,
     }
@@ -127,18 +130,8 @@ def flexray_cluster(root: Element, name: str | None) -> Element:
         for element in root.iter(f"{FX}CLUSTER")
         if any(str(child.tag).startswith(FLEXRAY) for child in element)
     }
-    if not clusters:
-        raise ClusterFileError(
-            "the file has no <CLUSTER> of type flexray:CLUSTER-TYPE; export the FlexRay cluster"
-        )
-    if name is None and len(clusters) == 1:
-        return next(iter(clusters.values()))
-    if name not in clusters:
-        wanted = "several <CLUSTER>s" if name is None else f"no <CLUSTER> {name!r}"
-        raise ClusterFileError(
-            f"the file has {wanted}; choose one of {', '.join(map(repr, clusters))}"
-        )
-    return clusters[name]
+    cure = "<CLUSTER> of type flexray:CLUSTER-TYPE; export the FlexRay cluster"
+    return chosen_cluster(clusters, name, "CLUSTER", cure)
 
 
 def _channels(root: Element, element: Element, where: str) -> str:
@@ -154,19 +147,6 @@ def _channels(root: Element, element: Element, where: str) -> str:
             "<FLEXRAY-CHANNEL-NAME> A or B"
         )
     return "".join(sorted({names[reference] for reference in references}))
-
-
-def _bit_rate_mbps(element: Element, where: str) -> float:
-    """From SPEED (bit/s) and BIT (us); one of them may be missing."""
-    speed = (number(element, f"{FX}SPEED", float, where) or 0.0) / 1e6
-    bit_us = number(element, f"{FLEXRAY}BIT", float, where) or 0.0
-    if not speed and not bit_us:
-        raise ClusterFileError(f"{where}: <SPEED> and <BIT> are 0; state the bit rate in bit/s")
-    if speed and bit_us and abs(speed * bit_us - 1.0) > 1e-6:
-        raise ClusterFileError(
-            f"{where}: <SPEED> says {speed:g} Mbit/s, but <BIT> {bit_us:g} us; correct one of them"
-        )
-    return speed or round(1.0 / bit_us, 6)
 
 
 def _controllers(root: Element, element: Element) -> list[Element]:
