@@ -1,6 +1,5 @@
 """Common code of the commands for networks on several hosts: setup file, keys, end of the run."""
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,7 +7,7 @@ from concord.experiments.results.folder import Description, read_description_fil
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import checked_endpoints, checked_run, key_file
 from concord.runtime.processes.job import Happened, HostPlace, Job
-from concord.runtime.processes.launcher import NetworkFailed, run_job
+from concord.runtime.processes.launcher import run_job
 
 
 def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:
@@ -62,10 +61,10 @@ def place_of(
 
 
 def take_part(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
-    """Run the processes of this host until the end of the network; exit code 1 if it breaks."""
-    try:
-        with user_errors():
-            run_job(job, folder, on_event)
-    except NetworkFailed as error:
-        sys.stderr.write(f"concord: {error}\n")
-        sys.exit(1)
+    """Run the processes of this host until the end of the network.
+
+    Raises:
+        NetworkFailed: the network breaks.
+    """
+    with user_errors():
+        run_job(job, folder, on_event)

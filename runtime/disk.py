@@ -5,8 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from concord.runtime.failure import RunFailed
 
-class NotWritten(Exception):
+
+class NotWritten(RunFailed):
     """A file could not be written to its end; the message names it, and why."""
 
     def __init__(self, path: Path, error: OSError) -> None:

@@ -17,7 +17,6 @@ from concord.experiments.results.folder import BATCHED
 from concord.experiments.results.near_agreement import tolerance_of
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
-from concord.runtime.processes.launcher import NetworkFailed
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 
@@ -37,11 +36,7 @@ def agree(
     """Run a scenario in every driver; exit code 1 if they do not agree."""
     with user_errors():
         setup = prepare(resolved(scenario))
-    try:
-        found = agreement(setup, partial(progress, as_json=output.json))
-    except NetworkFailed as error:
-        sys.stderr.write(f"concord: {error}\n")
-        sys.exit(1)
+    found = agreement(setup, partial(progress, as_json=output.json))
     _show(setup, found, output.json)
     sys.exit(1 if found.differences else 0)
 

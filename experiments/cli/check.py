@@ -19,7 +19,6 @@ from concord.experiments.conformance.rule_promises import RULE_PROMISES, checked
 from concord.experiments.conformance.scenario_promises import SCENARIO_PROMISES, checked_scenario
 from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.engines import engine_for
-from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definitions
@@ -76,15 +75,11 @@ def check(
             raise unknown_name("promise", output.promise, names)
     asked = [one for one in promises if output.promise in (None, one.name)]
     findings = {}
-    try:
-        for promise in asked:
-            findings[promise.name] = promise.check(checked, cases)
-            if not output.json:
-                sys.stdout.write("\n".join(_lines(subject, promise, findings[promise.name])) + "\n")
-                sys.stdout.flush()
-    except WorkerLost as error:
-        sys.stderr.write(f"concord: {error}\n")
-        sys.exit(1)
+    for promise in asked:
+        findings[promise.name] = promise.check(checked, cases)
+        if not output.json:
+            sys.stdout.write("\n".join(_lines(subject, promise, findings[promise.name])) + "\n")
+            sys.stdout.flush()
     broken = sum(finding.status == "BROKEN" for finding in findings.values())
     if output.json:
         _write_json(subject, asked, findings)

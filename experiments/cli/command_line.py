@@ -16,7 +16,7 @@ from concord._version import __version__
 from concord.experiments.repeated_options import refuse_repeated
 from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
-from concord.runtime.disk import NotWritten
+from concord.runtime.failure import RunFailed
 from concord.topology.names import unknown_name
 
 # File and function of each command. A file is loaded when its command is asked for: together they
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, _interrupt)
         with standard_output():
             command(arguments)
-    except NotWritten as error:
+    except RunFailed as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
     except KeyboardInterrupt:

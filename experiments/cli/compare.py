@@ -17,9 +17,8 @@ from concord.experiments.compare.tables import as_json, print_comparison
 from concord.experiments.places import make_folder
 from concord.experiments.progress import progress
 from concord.experiments.sweep.engines import engine_for, workers_here
-from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
-from concord.runtime.disk import NotWritten
+from concord.runtime.failure import RunFailed
 
 WIDTH = 80
 
@@ -71,9 +70,8 @@ def compare(options: Annotated[CompareOptions, tyro.conf.arg(name="")]) -> None:
         sys.stderr.write(f"interrupted; finished entries are kept in {out / KEPT}, and the same "
                          f"command goes on from there\n")  # fmt: skip
         raise
-    except (WorkerLost, NotWritten) as error:
-        sys.stderr.write(f"concord: {error}; finished entries are kept in {out / KEPT}\n")
-        sys.exit(1)
+    except RunFailed as error:
+        raise RunFailed(f"{error}; finished entries are kept in {out / KEPT}") from error
     seconds = time.monotonic() - started
     dataset = assemble(entries, figures)
     found = comparison_figures(dataset)

@@ -100,14 +100,11 @@ def design(
     try:
         with user_errors():
             found = search(task, kept, refused)
-    except (KeyboardInterrupt, WorkerLost) as error:
+    except (KeyboardInterrupt, WorkerLost):
         if kept:
             done = Found(kept, refused, [])
             write_design(design_of(task, done, False), out)
             _say(f"interrupted; what was tried is in {out}")
-        if isinstance(error, WorkerLost):
-            sys.stderr.write(f"concord: {error}\n")
-            sys.exit(1)
         raise
     result = design_of(task, found, True)
     with user_errors():

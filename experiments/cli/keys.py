@@ -13,7 +13,6 @@ from rich.table import Table
 from concord.experiments.security_check import IntrusionAttempt, check
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.certificates import make_keys
-from concord.runtime.network.zenoh_transport import LinkError
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,8 @@ def _show_files(options: KeysOptions, files: list[str]) -> None:
 
 
 def _check(options: KeysOptions) -> None:
-    try:
-        with user_errors():
-            attempts = check(options.folder)
-    except LinkError as error:
-        sys.stderr.write(f"concord: {error}\n")
-        sys.exit(1)
+    with user_errors():
+        attempts = check(options.folder)
     held = all(attempt.held for attempt in attempts)
     if options.json:
         result = {"held": held, "attempts": attempts}

@@ -22,6 +22,7 @@ from concord.papers.kit.report import (
     report_of,
     write_report,
 )
+from concord.runtime.failure import RunFailed
 from concord.topology.names import unknown_name
 
 NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")
@@ -71,8 +72,7 @@ def reproduce(options: Annotated[ReproduceOptions, tyro.conf.arg(name="")]) -> N
     try:
         report = carry_out(options.paper, paper, folder, seed, runs)
     except WorkerLost as error:
-        sys.stderr.write(f"concord: {error}; finished sections are in {folder}\n")
-        sys.exit(1)
+        raise RunFailed(f"{error}; finished sections are in {folder}") from error
     sys.stderr.write(f"done in {time.monotonic() - started:.0f} s\n")
     _show(report, folder, options.json)
     if not report.ok:

@@ -31,10 +31,9 @@ from concord.experiments.results.smoothing import check_smoothing
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
-from concord.runtime.disk import NotWritten
 from concord.runtime.drivers import DRIVERS, RunPace, over_processes
+from concord.runtime.failure import RunFailed
 from concord.runtime.network.links import names, ports_from
-from concord.runtime.processes.launcher import NetworkFailed
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup
@@ -158,9 +157,8 @@ def _watched(
             if output.dashboard:
                 # A network that waits for people has no pace of its own.
                 pace = pace._replace(steps_per_second=None)
-    except (NetworkFailed, NotWritten) as error:
-        sys.stderr.write(f"concord: {error}; `concord collect {folder}` shows what was done\n")
-        sys.exit(1)
+    except RunFailed as error:
+        raise RunFailed(f"{error}; `concord collect {folder}` shows what was done") from error
     except KeyboardInterrupt:
         # After an interrupt, the user need not wait for arrays and figures.
         sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")

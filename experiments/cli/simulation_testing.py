@@ -26,7 +26,6 @@ from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, 
 from concord.experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
 from concord.experiments.sweep.engines import engine_for
-from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 
 MOST_SHRUNK = 3
@@ -135,9 +134,6 @@ def _of_seeds(
     except KeyboardInterrupt:
         show_all()
         raise
-    except WorkerLost as error:
-        sys.stderr.write(f"concord: {error}\n")
-        sys.exit(1)
     show_all()
     sys.exit(1 if any(outcome.broken for outcome in outcomes.values()) else 0)
 

@@ -24,9 +24,8 @@ from concord.experiments.sweep.placements import in_words, over_placements
 from concord.experiments.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
 from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.summary import figures_of, table
-from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
-from concord.runtime.disk import NotWritten
+from concord.runtime.failure import RunFailed
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
 
@@ -102,9 +101,8 @@ def sweep(
     except KeyboardInterrupt:
         sys.stderr.write(f"interrupted; {_goes_on(output, out)}\n")
         raise
-    except (WorkerLost, NotWritten) as error:
-        sys.stderr.write(f"concord: {error}; {_goes_on(output, out)}\n")
-        sys.exit(1)
+    except RunFailed as error:
+        raise RunFailed(f"{error}; {_goes_on(output, out)}") from error
     if swept.dataset is None:
         _show_shard(swept, begun, output.json)
     else:

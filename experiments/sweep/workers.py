@@ -12,10 +12,12 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from concord.runtime.failure import RunFailed
+
 Engine = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 
 
-class WorkerLost(RuntimeError):
+class WorkerLost(RunFailed):
     """A worker process ended by itself."""
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import zenoh
 
+from concord.runtime.failure import RunFailed
 from concord.runtime.network.links import ZenohEndpoints
 
 # One worker thread per process instead of one per core and role; a router needs the default.
@@ -34,7 +35,7 @@ _MOST_BYTES = 1 << 26
 _AT_ONCE = 256
 
 
-class LinkError(Exception):
+class LinkError(RunFailed):
     """A session could not be opened: a port is taken or a peer does not answer."""
 
 

@@ -17,6 +17,7 @@ import msgspec
 
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import NotWritten
+from concord.runtime.failure import RunFailed
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import NetworkAddresses, write_network
 from concord.runtime.network.sockets import socket_folder
@@ -29,7 +30,7 @@ _STOP_TIMEOUT_S = 3.0
 _LOOK_S = 1.0
 
 
-class NetworkFailed(Exception):
+class NetworkFailed(RunFailed):
     """A process of the network ended before the run did."""
 
 
