@@ -8,6 +8,7 @@ agree.
 from collections.abc import Sequence
 
 import msgspec
+import numpy as np
 
 from concord.scenarios.scenario import Scenario
 
@@ -34,6 +35,13 @@ class Setup(msgspec.Struct, frozen=True):
     time_step_s: float
     losses: list[list[float]] | None = None
     phases: list[list[list[int]]] | None = None
+
+    @property
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        """Receiver and sender (E,) of each link, in order of the receiver and then the sender."""
+        degrees = [len(heard) for heard in self.neighbours]
+        sender = np.array([j for heard in self.neighbours for j in heard], dtype=np.int64)
+        return np.repeat(np.arange(len(degrees)), degrees), sender
 
     def __post_init__(self) -> None:
         """Check that all parts are of one network, because a setup is also read from files.

@@ -10,7 +10,7 @@ from concord.experiments.compare.entries import Entry
 from concord.experiments.compare.run import TAKEN, Figures
 from concord.experiments.monte_carlo.figure_table import FIGURES
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
-from concord.experiments.results.folder import commit, versions
+from concord.experiments.results.folder import provenance
 from concord.scenarios.catalogue import definition_named
 
 if TYPE_CHECKING:
@@ -89,12 +89,8 @@ def assemble(entries: Sequence[Entry], figures: Mapping[int, Figures]) -> "xarra
         "runs": ("case", [case.runs for case in cases.values()]),
         "unit": ("case", [_unit(case.options) for case in cases.values()]),
     }
-    provenance = {
-        "title": f"concord compare of {len(rules)} rules on {len(cases)} cases",
-        "versions": msgspec.json.encode(versions()).decode(),
-        "commit": commit() or "unknown",
-    }
-    return xarray.Dataset(variables, coordinates, provenance)
+    title = f"concord compare of {len(rules)} rules on {len(cases)} cases"
+    return xarray.Dataset(variables, coordinates, {"title": title, **provenance()})
 
 
 def _described(name: str) -> dict[str, str]:

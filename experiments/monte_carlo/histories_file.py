@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.many_figures import RunCost
-from concord.experiments.results.folder import past_variables
+from concord.experiments.results.folder import optional_variables, state_coordinates
 from concord.experiments.results.innovations.of_run import variables_of
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.trace import Past
@@ -34,8 +34,7 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
 
     setup = histories.setup
     definition = definition_of(setup.scenario)
-    plant = definition.plant(setup.scenario)
-    names = list(plant.state_names)
+    names = definition.plant(setup.scenario).state_names
     state = ("run", "step", "node", "state")
     per_share = ("run", "step", "round", "node")
     variables: dict[str, Any] = {
@@ -56,8 +55,6 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
             for name, counts in histories.counters.items()
         },
     }
-    if histories.control is not None:
-        variables["control"] = (("run", "step", "input"), histories.control)
     if histories.readings is not None:
         dimensions = ("run", "step", "node", "reading", "channel")
         variables["readings"] = (dimensions, histories.readings)
@@ -68,20 +65,15 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables["cov"] = ((*state, "other_state"), histories.cov)
     if histories.innovations is not None:
         variables |= variables_of(histories.innovations, "", ("run", "step"))
-    if histories.suspect is not None:
-        variables["suspect"] = (("run", "step", "node"), histories.suspect.astype(np.int8))
-    if histories.past is not None:
-        variables |= past_variables(histories.past, ("run", "step"))
+    optional = histories.control, histories.suspect, histories.past
+    variables |= optional_variables(("run", "step"), *optional)
     variables |= track_variables_of_runs(setup, histories.runs.tolist(), histories.tracks)
-    heard = setup.neighbours
+    receiver, sender = setup.links
     coordinates = {
         "run": histories.runs,
-        "step": np.arange(setup.scenario.steps),
-        "time": ("step", np.arange(setup.scenario.steps) * setup.time_step_s, {"units": "s"}),
-        "state": names,
-        "state_unit": ("state", list(plant.state_units)),
-        "receiver": ("link", np.repeat(np.arange(len(heard)), [len(some) for some in heard])),
-        "sender": ("link", np.array([j for some in heard for j in some], dtype=np.int64)),
+        **state_coordinates(setup, setup.scenario.steps),
+        "receiver": ("link", receiver),
+        "sender": ("link", sender),
     }
     spent = {} if cost is None else cost._asdict()
     return xarray.Dataset(variables, coordinates, spent)

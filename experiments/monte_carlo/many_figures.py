@@ -25,7 +25,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.innovations import HearsAll, Innovations, innovations_of_all
+from concord.scenarios.innovations import innovations_of_all
 
 _TABLE_NODES = 60
 
@@ -104,14 +104,23 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     runs, nodes = histories.runs.tolist(), scenario.nodes
     alone = local_only_of_runs(setup, runs, known.readings, histories.control)
     of_alone = where_counted(counted, errors_alone(setup, known, alone.mean))
-    heard = _heard(histories)
-    errors = network_errors(setup, known, histories.mean, histories.nees, heard.belief)
+    heard, own = None, histories.innovations
+    if own is not None:
+        heard = innovations_of_all(setup, runs, known.readings, histories.control)
+    if heard is None:
+        belief = centralised_of_runs(setup, runs, known.readings, histories.control)
+    else:
+        belief = heard.belief
+    errors = network_errors(setup, known, histories.mean, histories.nees, belief)
     of_node, of_central, spread, consistency, consistency_central = errors.where(counted)
     per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
     central = rmse(of_central, (1,))
     whole = rmse(of_node, (1, 2))
     carried = traffic_of(setup, histories)
-    innovations, sentence = _judged(histories, heard, counted, mean_of_known(consistency, (2,)))
+    innovations = sentence = None
+    if own is not None and heard is not None:
+        nees = mean_of_known(consistency, (2,))
+        innovations, sentence = judged(setup, own, heard, counted, nees)
     return ManyFigures(
         scenario=scenario.name,
         unit=score.unit,
@@ -149,20 +158,10 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
         peak_memory_mb=cost.peak_memory_mb,
         suspect=None if histories.suspect is None else float(histories.suspect.mean()),
-        smoothed=histories.past and _smoothed(histories, histories.past, counted, heard.belief),
+        smoothed=histories.past and _smoothed(histories, histories.past, counted, belief),
         innovations=innovations,
         verdict=sentence,
     )
-
-
-def _judged(
-    histories: Histories, heard: "_Heard", counted: np.ndarray, nees: np.ndarray
-) -> tuple[InnovationFigures | None, str | None]:
-    """The figures of the innovations, and the verdict, where they were kept."""
-    if histories.innovations is None or heard.innovations is None:
-        return None, None
-    central = HearsAll(heard.belief, heard.innovations)
-    return judged(histories.setup, histories.innovations, central, counted, nees)
 
 
 def _smoothed(
@@ -174,20 +173,6 @@ def _smoothed(
         ManySmoothed(lag, positive_mean_t(mine), ratio_t(mine**2, best**2))
         for lag, (mine, best) in enumerate(zip(network.T, central.T, strict=True))
     ]
-
-
-class _Heard(NamedTuple):
-    """The filter that hears everything, mean (R, S, n), and its innovations where they count."""
-
-    belief: Gaussian
-    innovations: Innovations | None
-
-
-def _heard(histories: Histories) -> _Heard:
-    assert histories.readings is not None, "keep the readings"
-    known = histories.setup, histories.runs.tolist(), histories.readings, histories.control
-    found = None if histories.innovations is None else innovations_of_all(*known)
-    return _Heard(centralised_of_runs(*known), None) if found is None else _Heard(*found)
 
 
 _TRAFFIC = ("sent", "heard", "missed", "rejected")

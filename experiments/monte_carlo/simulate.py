@@ -263,8 +263,7 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
     counters = {
         name: np.array([[counted.get(name, 0) for counted in trace.counters]]) for name in names
     }
-    receiver = np.repeat(np.arange(own.scenario.nodes), [len(heard) for heard in own.neighbours])
-    sender = np.array([j for heard in own.neighbours for j in heard], dtype=int)
+    receiver, sender = own.links
 
     def steps() -> Iterable[_Recorded]:
         for step in range(trace.steps):

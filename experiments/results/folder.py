@@ -116,6 +116,12 @@ def commit() -> str | None:
     return asked.stdout.strip() or None
 
 
+def provenance() -> dict[str, str]:
+    """Return versions and commit as attributes of a data set."""
+    text = msgspec.json.encode(versions()).decode()
+    return {"versions": text, "commit": commit() or "unknown"}
+
+
 def write_description(folder: Path, description: Description) -> None:
     """Write run.json, and beside it the files of an own plant or rule."""
     keep_copies(folder, description.setup.scenario)
@@ -161,8 +167,7 @@ def write_arrays(
 
     setup = description.setup
     definition = definition_of(setup.scenario)
-    plant = definition.plant(setup.scenario)
-    names = list(plant.state_names)
+    names = definition.plant(setup.scenario).state_names
     truth = trace.truth[:, None, :]
     state = ("step", "node", "state")
     score = list(definition.score.nees_states)
@@ -183,8 +188,6 @@ def write_arrays(
         "ages": (("step", "node", "neighbour"), trace.ages, {"units": "communication cycles"}),
         "missed": (("node",), np.array([c.get("missed", 0) for c in trace.counters])),
     }
-    if trace.control is not None:
-        variables["control"] = (("step", "input"), trace.control)
     if trace.spread is not None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
@@ -192,8 +195,6 @@ def write_arrays(
         variables |= track_variables(setup, trace.tracks, trace.readings)
         gospa = trace.tracks.distances()
         variables["gospa"] = (("step", "node"), gospa, {"units": "m", "cutoff": CUTOFF_M})
-    if trace.suspect is not None:
-        variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
     if trace.estimate_age_s is not None:
         limit = {} if description.tempo is None else {"limit": description.tempo.oldest_s}
         said = {"units": "s", "origin": "sampling instant of the step", **limit}
@@ -201,17 +202,11 @@ def write_arrays(
     if trace.duality_gap is not None:
         said = {"meaning": "the trace of the set is within this fraction of the least"}
         variables["duality_gap"] = (("step", "node"), trace.duality_gap, said)
-    if trace.past is not None:
-        variables |= past_variables(trace.past, ("step",))
     if (found := innovations or run_innovations(setup, trace)) is not None:
         variables |= innovation_variables(setup, found)
     variables |= _bus_variables(setup, trace)
-    coordinates = {
-        "step": np.arange(trace.steps),
-        "time": ("step", np.arange(trace.steps) * setup.time_step_s, {"units": "s"}),
-        "state": names,
-        "state_unit": ("state", list(plant.state_units)),
-    }
+    variables |= optional_variables(("step",), trace.control, trace.suspect, trace.past)
+    coordinates = state_coordinates(setup, trace.steps)
     write_whole(folder, xarray.Dataset(variables, coordinates), description)
 
 
@@ -228,14 +223,34 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
     write_dataset(dataset, folder / ARRAYS)
 
 
-def past_variables(past: Past, before: tuple[str, ...]) -> dict[str, Any]:
-    """Return smoothed states as variables, with the axes `before` that of the lags."""
-    axes = (*before, "lag", "node", "state")
+def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
+    """Return the coordinates of steps and of the plant's states."""
+    plant = definition_of(setup.scenario).plant(setup.scenario)
     return {
-        "smoothed_mean": (axes, past.mean),
-        "smoothed_std": (axes, past.std),
-        "lag": (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"}),
+        "step": np.arange(steps),
+        "time": ("step", np.arange(steps) * setup.time_step_s, {"units": "s"}),
+        "state": list(plant.state_names),
+        "state_unit": ("state", list(plant.state_units)),
     }
+
+
+def optional_variables(
+    before: tuple[str, ...],
+    control: np.ndarray | None,
+    suspect: np.ndarray | None,
+    past: Past | None,
+) -> dict[str, Any]:
+    """Return what not every run has as variables, whose first axes are those `before`."""
+    found: dict[str, Any] = {}
+    if control is not None:
+        found["control"] = ((*before, "input"), control)
+    if suspect is not None:
+        found["suspect"] = ((*before, "node"), suspect.astype(np.int8))
+    if past is not None:
+        axes = (*before, "lag", "node", "state")
+        found |= {"smoothed_mean": (axes, past.mean), "smoothed_std": (axes, past.std)}
+        found["lag"] = (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"})
+    return found
 
 
 def _meaning(setup: Setup) -> dict[str, str]:

@@ -40,8 +40,6 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
     histories = simulate(setup, [setup.scenario.run], keep=OPTIONAL)
     assert histories.readings is not None
     assert histories.cov is not None and histories.ages is not None
-    receiver = np.repeat(np.arange(len(setup.neighbours)), [len(some) for some in setup.neighbours])
-    sender = np.array([j for some in setup.neighbours for j in some], dtype=np.int64)
     sd = np.sqrt(np.abs(np.diagonal(trace.cov, axis1=-2, axis2=-1)))
     compared = {
         "truth": (trace.truth, histories.truth[0], np.abs(trace.truth)),
@@ -50,7 +48,7 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "classes": (trace.classes, histories.classes[0], _exact),
         "mean": (trace.mean, histories.mean[0], scale_of_mean(setup, trace.mean, sd)),
         "cov": (trace.cov, histories.cov[0], scale_of_cov(setup, trace.mean, sd)),
-        "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),
+        "ages": (trace.ages[:, *setup.links], histories.ages[0], _exact),
     }
     if trace.tracks is not None and histories.tracks:
         both = (one.digest_numbers() for one in (trace.tracks, histories.tracks[0]))

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from concord.experiments.results.folder import Description
+from concord.experiments.results.folder import Description, state_coordinates
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
@@ -98,18 +98,11 @@ def write_smoothed(folder: Path, description: Description, found: Smoothed) -> N
     import xarray
 
     setup = description.setup
-    plant = definition_of(setup.scenario).plant(setup.scenario)
-    names, steps = list(plant.state_names), np.arange(len(found.filtered.mean))
     variables = {}
     for name, belief in (("filtered", found.filtered), ("smoothed", found.smoothed)):
         variables[f"{name}_mean"] = (("step", "state"), belief.mean)
         variables[f"{name}_cov"] = (("step", "state", "other_state"), belief.cov)
-    coordinates = {
-        "step": steps,
-        "time": ("step", steps * setup.time_step_s, {"units": "s"}),
-        "state": names,
-        "state_unit": ("state", list(plant.state_units)),
-    }
+    coordinates = state_coordinates(setup, len(found.filtered.mean))
     dataset = xarray.Dataset(variables, coordinates).assign_attrs(
         title=f"concord run {description.run}, one filter that hears everything and its smoother",
         scenario=msgspec.json.encode(setup.scenario).decode(),

@@ -19,7 +19,7 @@ from concord.experiments.monte_carlo.moments import (
     STATISTICS,
     statistics_of,
 )
-from concord.experiments.results.folder import commit, versions
+from concord.experiments.results.folder import provenance
 from concord.experiments.results.netcdf_file import read_dataset, write_dataset
 from concord.experiments.sweep.pieces import REDUCED
 from concord.experiments.sweep.specification import Cell, Specification, Value, cells_of
@@ -265,6 +265,5 @@ def _provenance(specification: Specification, cells: Sequence[Cell]) -> dict[str
         "title": f"concord sweep of {', '.join(specification.dimensions) or 'one cell'}",
         SPECIFICATION: msgspec.json.encode(specification).decode(),
         "seed": cells[0].scenario.seed if "seed" not in specification.dimensions else "swept",
-        "versions": msgspec.json.encode(versions()).decode(),
-        "commit": commit() or "unknown",
+        **provenance(),
     }

@@ -167,8 +167,7 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     setup = prepare(msgspec.structs.replace(scenario_of(options.scenario, **said), bus=Ideal()))
     scenario = setup.scenario
     neighbours = setup.neighbours
-    hearers = np.repeat(np.arange(len(neighbours)), [len(heard) for heard in neighbours])
-    adjacency = from_links(len(neighbours), hearers, [j for heard in neighbours for j in heard])
+    adjacency = from_links(len(neighbours), *setup.links)
     positions = definition_of(scenario).plant(scenario).positions(0)
     delivery: np.ndarray | None = None
     if setup.losses is not None:

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
+from concord.experiments.monte_carlo.network_errors import where_counted
 from concord.experiments.results.innovations.figures import (
     ChannelFigures,
     InnovationFigures,
@@ -94,7 +95,10 @@ def judged(
     outside = outside_model(setup, heard.belief, counted)
     counted = counted & ~outside.steps
     nees = np.where(outside.steps, np.nan, nees)
-    own, all_ = (_where(counted, accepted(setup, one)) for one in (own, heard.innovations))
+    own, all_ = (
+        Innovations(*(where_counted(counted, part) for part in accepted(setup, one)))
+        for one in (own, heard.innovations)
+    )
     figures, diagnosis = innovation_figures(setup, own, all_)
     figures = msgspec.structs.replace(figures, outside=outside.shares)
     nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
@@ -117,14 +121,6 @@ def judged_run(
     counted = np.arange(first + len(nees))[None] >= first
     nees = np.concatenate([np.full(first, np.nan), nees])[None]
     return judged(setup, found.own, found.heard, counted, nees)
-
-
-def _where(counted: np.ndarray, innovations: Innovations) -> Innovations:
-    kept = (
-        np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
-        for values in innovations
-    )
-    return Innovations(*kept)
 
 
 def _interval_of(per_step: np.ndarray, confidence: float) -> Interval:
