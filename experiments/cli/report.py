@@ -2,10 +2,10 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
@@ -31,7 +31,9 @@ from concord.experiments.user_errors import user_errors
 if TYPE_CHECKING:
     import xarray
 
+    from concord.experiments.monte_carlo.many_figures import ManyFigures
     from concord.experiments.results.folder import Description
+    from concord.experiments.results.summary import Figures
 
 
 @dataclass(frozen=True)
@@ -166,15 +168,8 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
         return _of_runs(folder, description)
     trace = completed(folder, description)
     figures = summarise(as_it_ran(description, trace).setup, trace)
-    rows = [
-        [str(i), f"{n.rmse:.4g}", f"{n.rmse_local_only:.4g}", f"{n.anees:.4g}", str(n.sent),
-         str(n.heard), str(n.missed)]
-        for i, n in enumerate(figures.nodes)
-    ]  # fmt: skip
-    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
-    rows.append(["all", *(f"{x:.4g}" for x in whole), str(figures.shares_sent), "",
-                 str(figures.shares_missed)])  # fmt: skip
-    return f"Run {description.run}", _page_of_run(description, lines(figures), figures.unit, rows)
+    page = _page_of_run(description, lines(figures), figures, "{:.4g}".format, str)
+    return f"Run {description.run}", page
 
 
 def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePart]]:
@@ -183,21 +178,27 @@ def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePa
     from concord.experiments.results.folder import ARRAYS
 
     figures = summarise(*read_histories(folder / ARRAYS, description.setup))
-    rows = [
-        [str(i), *map(_interval, (n.rmse, n.rmse_local_only, n.anees)),
-         f"{n.sent:.4g}", f"{n.heard:.4g}", f"{n.missed:.4g}"]
-        for i, n in enumerate(figures.nodes)
-    ]  # fmt: skip
-    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
-    rows.append(["all", *map(_interval, whole), f"{figures.shares_sent:.4g}", "",
-                 f"{figures.shares_missed:.4g}"])  # fmt: skip
-    title = f"{figures.runs} runs {description.run}"
-    return title, _page_of_run(description, lines(figures), figures.unit, rows)
+    page = _page_of_run(description, lines(figures), figures, _interval, "{:.4g}".format)
+    return f"{figures.runs} runs {description.run}", page
 
 
 def _page_of_run(
-    description: "Description", lines: Sequence[str], unit: str, rows: list[list[str]]
+    description: "Description",
+    lines: Sequence[str],
+    figures: "Figures | ManyFigures",
+    error: Callable[[Any], str],
+    count: Callable[[Any], str],
 ) -> list[PagePart]:
+    """The page of a run or of many, whose `error`s and `count`s are written so."""
+    rows = [
+        [str(i), *map(error, (n.rmse, n.rmse_local_only, n.anees)),
+         *map(count, (n.sent, n.heard, n.missed))]
+        for i, n in enumerate(figures.nodes)
+    ]  # fmt: skip
+    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
+    sent, missed = map(count, (figures.shares_sent, figures.shares_missed))
+    rows.append(["all", *map(error, whole), sent, "", missed])
+    unit = figures.unit
     head = ["node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES", "sent", "heard", "missed"]
     scenario = msgspec.json.encode(description.setup.scenario).decode()
     return [

@@ -41,8 +41,6 @@ class SweepOptions:
 
     runs: int = 20
     """Monte-Carlo runs of every cell. Run r has the same noise in every cell."""
-    first_run: int = 0
-    """Number of the first of them: 1000 gives runs that no sweep of fewer has seen."""
     latin_hypercube: int | None = None
     """So many cells spread over the values and ranges (0.1..1) instead of every combination."""
     change_step: int = 0
@@ -81,7 +79,6 @@ def sweep(
             specify(
                 said_in(fields),
                 runs=output.runs,
-                first_run=output.first_run,
                 samples=output.latin_hypercube,
                 change_step=output.change_step,
             ),

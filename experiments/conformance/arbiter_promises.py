@@ -1,6 +1,5 @@
 """Promises of an arbiter: a function of urgency, or an `Arbiter`."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -8,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.arbitration import NO_BID, Arbiter, ArbiterState, award, begin_arbitration
-from concord.experiments.conformance.promise import Promise, PromiseResult, raised
+from concord.experiments.conformance.promise import Promise, PromiseResult, fault_of, raised
 from concord.experiments.conformance.rule_promises import AGREEMENT
 from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
@@ -120,13 +119,7 @@ def _check(
 ) -> PromiseResult:
     for number in cases:
         contest = draw_contest(number)
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore", RuntimeWarning)
-            try:
-                found = seen(checked.arbiter, contest)
-            except Exception as error:  # a user's function may raise anything
-                found = raised(error)
-        if found:
+        if found := fault_of(partial(seen, checked.arbiter, contest)):
             size = f"contenders {contest.bids.shape[-1]}, slots {contest.slots}"
             return PromiseResult("BROKEN", f"case {number}, {size}: {found}", number)
     return PromiseResult("holds", f"{len(cases)} contests of {_RUNS} runs")

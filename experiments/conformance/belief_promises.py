@@ -15,6 +15,11 @@ from concord.experiments.conformance.neighbourhoods import (
     at_lane,
     normalised,
 )
+from concord.experiments.conformance.promise import (
+    PromiseBroken,
+    amount,
+    covariance_fault,
+)
 from concord.experiments.monte_carlo.intervals import mean_t
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
@@ -45,18 +50,14 @@ class BeliefPromise(NamedTuple):
     claimed: str = "always"
 
 
-class WrongShape(Exception):
-    """A result is not of shape (..., n) and (..., n, n) for beliefs (..., J, n)."""
-
-
 def with_shapes_checked(rule: Average) -> Average:
-    """Return the same rule; it raises `WrongShape` for a result of another shape."""
+    """Return the same rule; it raises `PromiseBroken` for a result of another shape."""
 
     def average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
         mean, cov = map(np.asarray, rule(beliefs, weights))
         *lanes, _, n = beliefs.mean.shape
         if (mean.shape, cov.shape) != ((*lanes, n), (*lanes, n, n)):
-            raise WrongShape(
+            raise PromiseBroken(
                 f"means of shape {beliefs.mean.shape} give a mean {mean.shape} and a covariance "
                 f"{cov.shape}: must be {(*lanes, n)} and {(*lanes, n, n)}"
             )
@@ -70,7 +71,7 @@ def _each_lane_has_its_own_result(rule: Average, case: Neighbourhood) -> str:
     for lane in np.ndindex(LANES):
         alone = rule(at_lane(case.beliefs, lane), case.weights[lane])
         if (off := apart(alone, at_lane(together, lane))) > _ROUNDING:
-            return f"lane {lane} of {LANES} differs {_by(off)} from the same lane alone"
+            return f"lane {lane} of {LANES} differs {amount(off)} from the same lane alone"
     return ""
 
 
@@ -86,7 +87,7 @@ def _failed_lanes_fail_alone(rule: Average, case: Neighbourhood) -> str:
             Gaussian(before.mean[others], before.cov[others]),
         )
         if off > _ROUNDING:
-            return f"with {what} in lane (0, 0), other lanes move {_by(off)}"
+            return f"with {what} in lane (0, 0), other lanes move {amount(off)}"
     return ""
 
 
@@ -106,7 +107,7 @@ def _unheard_neighbours_change_nothing(rule: Average, case: Neighbourhood) -> st
         mean[..., -1, :], cov[..., -1, :, :] = its_mean, its_cov
         off = apart(rule(Gaussian(mean, cov), weights), without)
         if off > _ROUNDING:
-            return f"a belief of weight 0 that is {what} moves the result {_by(off)}"
+            return f"a belief of weight 0 that is {what} moves the result {amount(off)}"
     return ""
 
 
@@ -120,7 +121,7 @@ def _equal_beliefs_stay_equal(rule: Average, case: Neighbourhood) -> str:
     deviation = np.sqrt(np.diagonal(own.cov[:, :, 0], axis1=-2, axis2=-1))
     off = float((np.abs(mean - own.mean[:, :, 0]) / deviation).max())
     if not off <= _ROUNDING:
-        return f"the mean of equal beliefs is another one {_by(off)}"
+        return f"the mean of equal beliefs is another one {amount(off)}"
     whitener = np.linalg.inv(np.linalg.cholesky(own.cov[:, :, 0]))
     least = float(np.linalg.eigvalsh(whitener @ cov @ whitener.mT).min())
     if not least >= 1 - _ROUNDING:
@@ -136,20 +137,12 @@ def _order_does_not_matter(rule: Average, case: Neighbourhood) -> str:
         mean, cov = case.beliefs
         after = rule(Gaussian(mean[..., order, :], cov[..., order, :, :]), case.weights[..., order])
         if (off := apart(after, before)) > _ROUNDING:
-            return f"neighbours in the order {places.tolist()} move the result {_by(off)}"
+            return f"neighbours in the order {places.tolist()} move the result {amount(off)}"
     return ""
 
 
 def _results_are_covariances(rule: Average, case: Neighbourhood) -> str:
-    mean, cov = rule(case.beliefs, case.weights)
-    if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
-        return "sound beliefs give a result that is not finite"
-    deviation = np.sqrt(np.abs(np.diagonal(cov, axis1=-2, axis2=-1)))
-    skew = np.abs(cov - cov.mT) - _ROUNDING * deviation[..., None] * deviation[..., None, :]
-    if (skew > 0).any():
-        return f"the covariance is not symmetric, by {np.abs(cov - cov.mT).max():.3g}"
-    least = float(np.linalg.eigvalsh(cov).min())
-    return "" if least > 0 else f"the covariance has an eigenvalue of {least:.3g}"
+    return covariance_fault(*rule(case.beliefs, case.weights), _ROUNDING)
 
 
 def _covariance_covers_the_error(rule: Average, case: Neighbourhood) -> str:
@@ -187,11 +180,7 @@ def _units_do_not_matter(rule: Average, case: Neighbourhood) -> str:
     before = Gaussian(mean * scale, cov * both)
     other = Gaussian(case.beliefs.mean * scale, case.beliefs.cov * both)
     off = apart(rule(other, case.weights), before)
-    return "" if off <= _ROUNDING else f"other units of the states move the result {_by(off)}"
-
-
-def _by(off: float) -> str:
-    return f"by {off:.3g} standard deviations" if np.isfinite(off) else "from or to NaN"
+    return "" if off <= _ROUNDING else f"other units of the states move the result {amount(off)}"
 
 
 BELIEF_PROMISES = (

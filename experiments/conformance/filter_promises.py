@@ -1,6 +1,5 @@
 """Promises of a filter of the nodes: a value with `predict` and `update`."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -9,7 +8,13 @@ import numpy as np
 
 from concord.experiments.conformance.filter_cases import FilterCase, draw_filter_case
 from concord.experiments.conformance.neighbourhoods import LANES, apart, at_lane
-from concord.experiments.conformance.promise import Promise, PromiseResult, raised
+from concord.experiments.conformance.promise import (
+    Promise,
+    PromiseResult,
+    amount,
+    covariance_fault,
+    fault_of,
+)
 from concord.experiments.conformance.rule_promises import AGREEMENT
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.filter import Filter, begun, moments
@@ -87,7 +92,9 @@ def _each_lane_has_its_own_result(checked: Filter, case: FilterCase) -> str:
             ("update", case.update(checked, before, case.readings[lane]).belief, updated),
         ):
             if (off := apart(alone, at_lane(beside, lane))) > _ROUNDING:
-                return f"{what}: lane {lane} of {LANES} differs {_by(off)} from the same lane alone"
+                return (
+                    f"{what}: lane {lane} of {LANES} differs {amount(off)} from the same lane alone"
+                )
     return ""
 
 
@@ -101,7 +108,7 @@ def _failed_lanes_fail_alone(checked: Filter, case: FilterCase) -> str:
         after = case.predict(checked, failed), case.update(checked, failed).belief
         for name, one, other in zip(("predict", "update"), after, before, strict=True):
             if (off := apart(*(_lanes(b, others) for b in (one, other)))) > _ROUNDING:
-                return f"{name}: with {what} in lane (0, 0), other lanes move {_by(off)}"
+                return f"{name}: with {what} in lane (0, 0), other lanes move {amount(off)}"
     return ""
 
 
@@ -116,7 +123,7 @@ def _missing_entries_say_nothing(checked: Filter, case: FilterCase) -> str:
         return "" if _same_bits(found, case.belief) else "a lane with no reading is changed"
     cut = case._replace(readings=fewer[..., :-1], H=case.H[:-1], R=case.R[:-1, :-1])
     off = apart(found, cut.update(checked).belief)
-    return "" if off <= _ROUNDING else f"an entry that is NaN moves the belief {_by(off)}"
+    return "" if off <= _ROUNDING else f"an entry that is NaN moves the belief {amount(off)}"
 
 
 def _gated_lanes_keep_their_belief(checked: Filter, case: FilterCase) -> str:
@@ -139,31 +146,22 @@ def _gated_lanes_keep_their_belief(checked: Filter, case: FilterCase) -> str:
 
 
 def _results_are_covariances(checked: Filter, case: FilterCase) -> str:
-    for what, (mean, cov) in (
-        ("predict", case.predict(checked)), ("update", case.update(checked).belief)
-    ):  # fmt: skip
-        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
-            return f"{what}: sound beliefs give a result that is not finite"
-        deviation = np.sqrt(np.abs(np.diagonal(cov, axis1=-2, axis2=-1)))
-        skew = np.abs(cov - cov.mT) - 1e-9 * deviation[..., None] * deviation[..., None, :]
-        if (skew > 0).any():
-            return f"{what}: the covariance is not symmetric, by {np.abs(cov - cov.mT).max():.3g}"
-        if (least := float(np.linalg.eigvalsh(cov).min())) <= 0:
-            return f"{what}: the covariance has an eigenvalue of {least:.3g}"
-    return ""
+    found = {"predict": case.predict(checked), "update": case.update(checked).belief}
+    faults = {what: covariance_fault(*belief, 1e-9) for what, belief in found.items()}
+    return next((f"{what}: {fault}" for what, fault in faults.items() if fault), "")
 
 
 def _equals_the_kalman_filter(checked: Filter, case: FilterCase) -> str:
     (mean, cov), F, H = case.belief, case.F, case.H
     predicted = Gaussian(mean @ F.T, F @ cov @ F.T + case.Q)
     if (off := apart(case.predict(checked), predicted)) > _ROUNDING:
-        return f"predict differs {_by(off)} from F x, F P F' + Q"
+        return f"predict differs {amount(off)} from F x, F P F' + Q"
     information = np.linalg.inv(cov) + H.T @ np.linalg.inv(case.R) @ H
     after = np.linalg.inv(information)
     gain = after @ H.T @ np.linalg.inv(case.R)
     moved = np.einsum("...ij,...j->...i", gain, case.readings - mean @ H.T)
     if (off := apart(case.update(checked).belief, Gaussian(mean + moved, after))) > _ROUNDING:
-        return f"update differs {_by(off)} from the Kalman filter"
+        return f"update differs {amount(off)} from the Kalman filter"
     return ""
 
 
@@ -171,7 +169,7 @@ def _units_do_not_matter(checked: Filter, case: FilterCase) -> str:
     usual = case.predict(checked), case.update(checked).belief
     for what, one, other in zip(("predict", "update"), usual, case.in_units(checked), strict=True):
         if (off := apart(other, one)) > _ROUNDING:
-            return f"{what}: other units of states and readings move the result {_by(off)}"
+            return f"{what}: other units of states and readings move the result {amount(off)}"
     return ""
 
 
@@ -194,10 +192,6 @@ def _same_bits(one: Gaussian, other: Gaussian) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def _by(off: float) -> str:
-    return f"by {off:.3g} standard deviations" if np.isfinite(off) else "from or to NaN"
-
-
 def _check(
     name: str,
     curve: float,
@@ -207,13 +201,7 @@ def _check(
 ) -> PromiseResult:
     for number in cases:
         case = draw_filter_case(number, 0.0 if checked.only_linear else curve)
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore", RuntimeWarning)
-            try:
-                found = seen(checked.of(case.states), case)
-            except Exception as error:  # a user's filter may raise anything
-                found = raised(error)
-        if found:
+        if found := fault_of(lambda case=case: seen(checked.of(case.states), case)):
             size = f"states {case.states}, entries of a reading {case.readings.shape[-1]}"
             status = "note" if name in checked.unclaimed else "BROKEN"
             return PromiseResult(status, f"case {number}, {size}: {found}", number)

@@ -1,7 +1,6 @@
 """Promises of a fusion rule: about beliefs, and about networks that use it."""
 
 import shlex
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,11 +12,10 @@ from concord.experiments.agreement import agreement
 from concord.experiments.conformance.belief_promises import (
     BELIEF_PROMISES,
     BeliefPromise,
-    WrongShape,
     with_shapes_checked,
 )
 from concord.experiments.conformance.neighbourhoods import Neighbourhood, draw_neighbourhood
-from concord.experiments.conformance.promise import Promise, PromiseResult, raised
+from concord.experiments.conformance.promise import Promise, PromiseResult, fault_of, raised
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import in_options, scenario_with_known
 from concord.experiments.simulation_testing.case import SimulationCase
@@ -128,14 +126,7 @@ def _check_beliefs(
 def _seen(promise: BeliefPromise, average: Average, case: Neighbourhood) -> str:
     if case.neighbours < promise.fewest:
         return ""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)
-        try:
-            return promise.seen(with_shapes_checked(average), case)
-        except WrongShape as fault:
-            return str(fault)
-        except Exception as error:  # a user's function may raise anything
-            return raised(error)
+    return fault_of(partial(promise.seen, with_shapes_checked(average), case))
 
 
 def _smallest(

@@ -6,7 +6,7 @@ import numpy as np
 
 from concord.experiments.design.candidates import COSTS
 from concord.experiments.design.results import Design, Tried
-from concord.experiments.results.palette import GREY, plain_numbers, styles
+from concord.experiments.results.palette import GREY, name_styles, plain_numbers, styles
 from concord.experiments.sweep.specification import shown
 
 if TYPE_CHECKING:
@@ -42,11 +42,7 @@ def _front(design: Design, cost: Any) -> "Figure":
     axes.axhline(design.target.most, color=GREY, linestyle="--", linewidth=1, label="target")
     if design.recommended is not None:
         _draw_recommended(axes, design, price)
-    for names, pick in ((colours, "colour"), (markers, "marker")):
-        for name, style in names.items() if len(names) > 1 else ():
-            axes.plot([], [], linestyle="", label=name,
-                      color=style.colour if pick == "colour" else GREY,
-                      marker="o" if pick == "colour" else style.marker)  # fmt: skip
+    name_styles(axes, colours, markers)
     unit = design.unit if design.target.reference == "unit" else f"x {design.target.reference}"
     axes.set(xlabel=COSTS[cost].meaning, ylabel=f"RMSE, {unit}", xscale="log", yscale="log")
     plain_numbers(axes.xaxis)

@@ -1,6 +1,7 @@
 """`concord flexray validate`: the configuration of a cluster, from wherever it is."""
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -139,6 +140,17 @@ def _table(cluster: Cluster, times: Derived) -> Table:
     repeat = f"{cluster.number_of_cycles} cycles, then the cycle counter begins anew"
     grid.add_row("counter", f"{times.cycles_repeat_ms:.0f} ms", repeat)
     return grid
+
+
+def ranges(numbers: Iterable[int]) -> list[str]:
+    """Return rising numbers with runs drawn together: 4-6, 8."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return [str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs]
 
 
 def write_new(path: Path, text: str) -> None:

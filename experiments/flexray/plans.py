@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.timeline import timeline
-from concord.experiments.flexray.clusters import write_new
+from concord.experiments.flexray.clusters import ranges, write_new
 from concord.experiments.flexray.plan_report import (
     PlanAnswer,
     PlanReport,
@@ -224,7 +224,5 @@ def _slot_grid(rows: list[SlotRow]) -> Table:
 
 def _ids(frame_ids: list[int]) -> str:
     """Return ascending frame IDs in short: `1-7`, or `52, 72, ... 192` where they have gaps."""
-    begins = [one for one in frame_ids if one - 1 not in frame_ids]
-    ends = [one for one in frame_ids if one + 1 not in frame_ids]
-    runs = [f"{a}" if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
+    runs = ranges(frame_ids)
     return ", ".join(runs if len(runs) < 4 else (*runs[:2], f"... {runs[-1]}"))

@@ -25,7 +25,7 @@ from concord.bus.recordings.recorded_cluster import recorded_cluster
 from concord.bus.recordings.recorded_slots import recorded_slots
 from concord.bus.recordings.recording_files import read_recording
 from concord.bus.recordings.symbols import Symbol
-from concord.experiments.flexray.clusters import write_new
+from concord.experiments.flexray.clusters import ranges, write_new
 from concord.experiments.user_errors import user_errors
 
 Waveform = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="WAVEFORM")]
@@ -327,11 +327,4 @@ def _us(time_us: float | None) -> str:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Rising numbers with runs drawn together: 4-6, 8."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+    return ", ".join(ranges(numbers))

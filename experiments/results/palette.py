@@ -64,6 +64,15 @@ def use_house_style() -> None:
     )
 
 
+def name_styles(axes: Any, colours: dict[str, Style], markers: dict[str, Style]) -> None:
+    """Give the legend an entry for each colour and for each marker, where there are several."""
+    for names, pick in ((colours, "colour"), (markers, "marker")):
+        for name, style in names.items() if len(names) > 1 else ():
+            axes.plot([], [], linestyle="", label=name,
+                      color=style.colour if pick == "colour" else GREY,
+                      marker="o" if pick == "colour" else style.marker)  # fmt: skip
+
+
 def plain_numbers(axis: Any) -> None:
     """Ticks of a logarithmic axis at 1, 2 and 5 of each decade, written out."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter

@@ -62,7 +62,7 @@ def swept_of(dataset: "xarray.Dataset", name: str) -> SweptCells:
         for intervals in [np.array([cell[field] for cell in found], dtype=np.float64)]
         if np.isfinite(intervals[:, 0]).any()
     )
-    runs = specification.first_run + np.arange(specification.runs)
+    runs = np.arange(specification.runs)
     data = [CellData(part) for _, part in parts]
     rmse = np.array([
         one.values("rmse") if one.has_runs("rmse") else np.full(len(runs), np.nan) for one in data
@@ -95,7 +95,6 @@ class RunPages:
 
     def __init__(self, dataset: "xarray.Dataset", result: Path, options: PageOptions) -> None:
         self._cells: list[Cell] = [cell for cell, _ in flattened(dataset)]
-        self._first_run = specification_of(dataset).first_run
         self._folder, self._options = result.with_name(result.name + ".runs"), options
         self._pages: dict[Path, Dashboard] = {}
         self._threads: list[threading.Thread] = []
@@ -109,7 +108,7 @@ class RunPages:
         """
         from concord.dashboard.serve import open_recording
 
-        folder = self._computed(cell, self._first_run + place, on_step)
+        folder = self._computed(cell, place, on_step)
         if folder not in self._pages:
             setup, options = read_description(folder).setup, self._options
             # Any free port near that of the sweep: viser takes the next free one.

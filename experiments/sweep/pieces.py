@@ -91,15 +91,12 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
     They begin at multiples of their size: a sweep of more runs finds the pieces of one of fewer.
     """
     pieces = []
-    end = specification.first_run + specification.runs
     for cell in cells:
         at_once = runs_at_once(cell.scenario, specification.keep)
         text = msgspec.json.encode(cell.scenario)
-        first = specification.first_run
-        while first < end:
-            last = min((first // at_once + 1) * at_once, end)
+        for first in range(0, specification.runs, at_once):
+            last = min(first + at_once, specification.runs)
             pieces.append(Piece(cell.number, text, first, last, specification.keep))
-            first = last
     return pieces
 
 

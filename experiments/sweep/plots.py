@@ -8,7 +8,13 @@ from scipy.special import stdtrit
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.monte_carlo.pareto import front
 from concord.experiments.results.network_map import Mapped, network_maps
-from concord.experiments.results.palette import GREY, SEQUENTIAL, plain_numbers, styles
+from concord.experiments.results.palette import (
+    GREY,
+    SEQUENTIAL,
+    name_styles,
+    plain_numbers,
+    styles,
+)
 from concord.experiments.sweep.cell_data import CellData
 from concord.experiments.sweep.plot_layout import (
     CellResult,
@@ -169,11 +175,7 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
     axes.set(xlabel=label, ylabel=TO_CENTRALISED, xscale="log")
     plain_numbers(axes.xaxis)
     _log_if_wide(grid, ratio)
-    for names, pick in ((colours, "colour"), (shapes, "marker")):
-        for name, style in names.items() if len(names) > 1 else ():
-            axes.plot([], [], linestyle="", label=name,
-                      color=style.colour if pick == "colour" else GREY,
-                      marker="o" if pick == "colour" else style.marker)  # fmt: skip
+    name_styles(axes, colours, shapes)
     _legend(figure, grid)
     figure.suptitle("What error costs; the line joins cells that no other beats in both\n"
                     f"{subtitle(dataset, layout._replace(rest=()))}", fontsize=9, x=0.01,

@@ -230,10 +230,9 @@ def _coordinates(
     sizes: Mapping[str, int],
     states: Mapping[str, str],
 ) -> dict[str, Any]:
-    first = specification.first_run
     coordinates: dict[str, Any] = {
         **{field: _plain(values) for field, values in fields.items()},
-        "run": np.arange(first, first + sizes["run"]),
+        "run": np.arange(sizes["run"]),
         "step": np.arange(sizes["step"]),
         "node": np.arange(sizes["node"]),
         "state": list(states),

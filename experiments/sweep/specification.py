@@ -39,8 +39,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         base: fields with one value.
         levels: fields with several, in the order in which they were named.
-        runs: Monte-Carlo runs of each cell, numbered from `first_run`; run r has the same noise in
-            every cell of one seed.
+        runs: Monte-Carlo runs of each cell; run r has the same noise in every cell of one seed.
         samples: cells of a Latin hypercube; None for every combination.
         change_step: the step from which convergence is timed.
         keep: "histories" of every step of a run, "figures" of every run, or "moments" over runs.
@@ -51,7 +50,6 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
     levels: dict[str, list[Value]]
     ranges: dict[str, Range] = {}
     runs: int = 20
-    first_run: int = 0
     samples: int | None = None
     change_step: int = 0
     keep: str = "histories"
@@ -92,7 +90,6 @@ def specify(
     asked: Mapping[str, str],
     *,
     runs: int = 20,
-    first_run: int = 0,
     samples: int | None = None,
     change_step: int = 0,
 ) -> Specification:
@@ -102,7 +99,6 @@ def specify(
         ValueError: an unknown field, a value that its field cannot have, or a value twice.
     """
     _require(runs >= 1, f"--runs {runs}: must be at least 1")
-    _require(first_run >= 0, f"--first-run {first_run}: must be 0 or more")
     _require(change_step >= 0, f"--change-step {change_step}: must be 0 or more")
     _require(
         samples is None or samples >= 2, f"--latin-hypercube {samples}: must be at least 2 cells"
@@ -132,7 +128,7 @@ def specify(
     folders = [str(value) for value in (base.get("data"), *levels.get("data", ())) if value]
     digests |= {folder: _digest_of_folder(Path(folder)) for folder in folders}
     return Specification(
-        base=base, levels=levels, ranges=ranges, runs=runs, first_run=first_run, samples=samples,
+        base=base, levels=levels, ranges=ranges, runs=runs, samples=samples,
         change_step=change_step, digests=digests,
     )  # fmt: skip
 
