@@ -1,8 +1,9 @@
-"""Moments of the figures of many runs, which merge to the same bits in any order and grouping.
+"""Moments of the figures of many runs: pieces that are merged in one order give the same bits.
 
 A piece of a Monte Carlo is reduced to them where it is computed, so that results do not grow with
-the number of runs. Sums are exact (`exact_sums`). Quantiles come from counts of runs in fixed bins,
-64 to an octave: a quantile is within 0.8 % of that of the runs.
+the number of runs. Means and sums of squared deviations are merged as by Chan, Golub and LeVeque
+(1983), Algorithms for computing the sample variance. Quantiles come from counts of runs in fixed
+bins, 64 to an octave: a quantile is within 0.8 % of that of the runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,13 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.exact_sums import (
-    SCALE,
-    ExactSums,
-    added,
-    exact_sums,
-    quotient,
-)
 from concord.experiments.monte_carlo.figure_table import FIGURES
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
@@ -35,12 +29,14 @@ PAIRS = {
 # `ratio` is that of the root mean squares, `spread` the standard deviation of its linearised
 # logarithm; `difference` and `difference_std` are those of the figures themselves.
 PAIR_STATISTICS = ("count", "ratio", "spread", "difference", "difference_std")
-_PARTS = tuple(f"moments {part}" for part in ("sums", "lowest", "counts", "ends", "bins"))
-_SUMS, _LOWEST, _COUNTS, _ENDS, _BINS = _PARTS
+_PARTS = tuple(
+    f"moments {part}" for part in ("counts", "means", "deviations", "infinite", "ends", "bins")
+)
+_COUNTS, _MEANS, _DEVIATIONS, _INFINITE, _ENDS, _BINS = _PARTS
 # Bits of a number below its exponent and the six highest bits of its mantissa.
 _BELOW_BIN = 46
 _BINS_OF_A_FIGURE = 2**18
-_POWERS, _PAIR_SUMS = 3, 7
+_OF_A_PAIR = 4
 # Fourth powers of larger numbers are infinite, so these numbers count as infinite too.
 LARGEST = 2.0**240
 
@@ -72,19 +68,18 @@ def reduced(figures: FigureArrays, names: Sequence[str]) -> dict[str, np.ndarray
     )
     known = ~np.isnan(every)
     finite = np.abs(every) < LARGEST
-    values = np.where(finite, every, 0.0)
-    squares = values**2
-    sums = [values, squares, squares**2]
-    counts = [known.sum(axis=0), (known & ~finite).sum(axis=0)]
-    pairs, both_known = _of_pairs(columns, figures)
-    found = exact_sums(np.concatenate([*sums, pairs], axis=1))
+    values = np.where(finite, every, np.nan)
+    features = np.concatenate([values, values**2, *_of_pairs(columns, figures)], axis=1)
+    counts = (~np.isnan(features)).sum(axis=0)
+    means = np.nansum(features, axis=0) / np.maximum(counts, 1)
     # A figure that is unknown in all runs has no least value.
     ends = [np.where(known, every, np.inf).min(axis=0), np.where(known, every, -np.inf).max(axis=0)]
     return {
         **{name: values for name, values in figures.items() if name not in names},
-        _SUMS: found.parts,
-        _LOWEST: np.array(found.lowest),
-        _COUNTS: np.concatenate([*counts, both_known]),
+        _COUNTS: counts,
+        _MEANS: means,
+        _DEVIATIONS: np.nansum((features - means) ** 2, axis=0),
+        _INFINITE: (known & ~finite).sum(axis=0),
         _ENDS: np.array(ends),
         _BINS: _binned([figures[name] for name in columns.counted]),
     }
@@ -92,16 +87,19 @@ def reduced(figures: FigureArrays, names: Sequence[str]) -> dict[str, np.ndarray
 
 def merged(one: FigureArrays, other: FigureArrays) -> dict[str, np.ndarray]:
     """Return the moments of the runs of both."""
-    sums = added(_exact(one), _exact(other))
+    counts = one[_COUNTS] + other[_COUNTS]
+    part, step = other[_COUNTS] / np.maximum(counts, 1), other[_MEANS] - one[_MEANS]
+    between = step**2 * (one[_COUNTS] * part)
     ends = np.array([one[_ENDS], other[_ENDS]])
-    bins, counts = np.concatenate([one[_BINS], other[_BINS]], axis=1)
+    bins, runs = np.concatenate([one[_BINS], other[_BINS]], axis=1)
     where, inverse = np.unique(bins, return_inverse=True)
     return {
-        _SUMS: sums.parts,
-        _LOWEST: np.array(sums.lowest),
-        _COUNTS: one[_COUNTS] + other[_COUNTS],
+        _COUNTS: counts,
+        _MEANS: one[_MEANS] + step * part,
+        _DEVIATIONS: one[_DEVIATIONS] + other[_DEVIATIONS] + between,
+        _INFINITE: one[_INFINITE] + other[_INFINITE],
         _ENDS: np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)]),
-        _BINS: np.array([where, np.bincount(inverse, counts, len(where)).astype(np.int64)]),
+        _BINS: np.array([where, np.bincount(inverse, runs, len(where)).astype(np.int64)]),
     }
 
 
@@ -123,17 +121,20 @@ def statistics_of(
     """
     columns = ReducedColumns(dict(shapes))
     width = sum(int(np.prod(shape)) for shape in shapes.values())
-    totals = _exact(figures).integers
-    powers = totals[: _POWERS * width].reshape(_POWERS, width)
-    known, infinite = figures[_COUNTS][: 2 * width].reshape(2, width)
+    moments = np.array([figures[part] for part in _PARTS[:3]])
+    (count, _), (mean, square), off = moments[:, : 2 * width].reshape(3, 2, width)
+    infinite = figures[_INFINITE]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        std = np.sqrt(off / (count - 1))
+        of_runs = [mean, std[0], np.sqrt(square), std[1] / square]
     table = np.full((len(STATISTICS), width), np.nan)
-    for column in range(width):
-        table[:5, column] = _statistics(int(known[column]), powers[:, column])
+    table[0] = count + infinite
+    table[1:5] = np.where(count > 0, of_runs, np.nan)
     # The mean of values of which one is infinite is infinite too; its spread is unknown.
     table[1:5, infinite > 0] = np.array([np.inf, np.nan, np.inf, np.nan])[:, None]
-    least, greatest = table[5:7] = np.where(known > 0, figures[_ENDS], np.nan)
-    # Squares are rounded, so that deviations below 1e-8 of the mean are not seen; none is none.
-    table[np.ix_((2, 4), (least == greatest) & (known > 1) & (infinite == 0))] = 0.0
+    least, greatest = table[5:7] = np.where(table[0] > 0, figures[_ENDS], np.nan)
+    # Rounding gives equal values a spread.
+    table[np.ix_((2, 4), (least == greatest) & (count > 1) & (infinite == 0))] = 0.0
     found, start = {}, 0
     for name, shape in shapes.items():
         end = start + int(np.prod(shape))
@@ -141,13 +142,8 @@ def statistics_of(
         start = end
     for number, name in enumerate(columns.counted):
         found[name][7:] = _quantiles(figures[_BINS], number, *found[name][5:7])
-    of_pairs = zip(
-        columns.paired,
-        figures[_COUNTS][2 * width :].tolist(),
-        totals[_POWERS * width :].reshape(-1, _PAIR_SUMS),
-        strict=True,
-    )
-    return found | {name: _pair(count, sums) for name, count, sums in of_pairs}
+    pairs = moments[:, 2 * width :].reshape(3, _OF_A_PAIR, -1)
+    return found | {name: _pair(*pairs[..., number]) for number, name in enumerate(columns.paired)}
 
 
 def _columns(shapes: Mapping[str, tuple[int, ...]]) -> ReducedColumns:
@@ -161,58 +157,28 @@ def _by_run(name: str, values: np.ndarray, runs: int) -> np.ndarray:
     return values if "run" in FIGURES[name].dimensions else np.array([values] * runs)
 
 
-def _of_pairs(columns: ReducedColumns, figures: FigureArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Terms (R, 7 each) of the sums of each pair, and in how many runs both are known."""
-    runs = len(figures["rmse"])
-    terms, counts = [np.empty((runs, 0))], []
-    for name, other in columns.paired.values():
+def _of_pairs(columns: ReducedColumns, figures: FigureArrays) -> np.ndarray:
+    """Features (4, R, P) of each pair: both squares, their sum, the difference of the figures."""
+    found = np.full((_OF_A_PAIR, len(figures["rmse"]), len(columns.paired)), np.nan)
+    for place, (name, other) in enumerate(columns.paired.values()):
         one, two = figures[name], figures[other]
         both = (np.abs(one) < LARGEST) & (np.abs(two) < LARGEST)
-        one, two = np.where(both, one, 0.0), np.where(both, two, 0.0)
-        s, o = one**2, two**2
-        terms.append(np.stack([s, o, s * s, o * o, s * o, one - two, (one - two) ** 2], axis=1))
-        counts.append(np.count_nonzero(both))
-    return np.concatenate(terms, axis=1), np.array(counts, dtype=np.int64)
+        one, two = one[both], two[both]
+        found[:, both, place] = one**2, two**2, one**2 + two**2, one - two
+    return found
 
 
-def _exact(figures: FigureArrays) -> ExactSums:
-    return ExactSums(int(figures[_LOWEST]), figures[_SUMS])
-
-
-def _statistics(count: int, powers: np.ndarray) -> tuple[float, ...]:
-    """Count, mean, standard deviation, root mean square, spread of the squares."""
-    if count == 0:
-        return (0.0, *(np.nan,) * 4)
-    one, two, four = powers.tolist()
-    deviation = np.sqrt(_variance(count, one, two))
-    square = quotient(two, count * SCALE)
-    spread = quotient(count * count * _scatter(count, two, four), count * (count - 1) * two * two)
-    rms = np.sqrt(square)
-    # All squares 0: the root mean square has no spread.
-    spread = 0.0 if two == 0 and count > 1 else np.sqrt(max(spread, 0.0))
-    return float(count), quotient(one, count * SCALE), float(deviation), float(rms), float(spread)
-
-
-def _scatter(count: int, total: int, squares: int) -> int:
-    """Count times the sum of squares less the square of the sum, in units of SCALE squared."""
-    return max(count * squares * SCALE - total * total, 0)
-
-
-def _variance(count: int, total: int, squares: int) -> float:
-    return quotient(_scatter(count, total, squares), count * (count - 1) * SCALE * SCALE)
-
-
-def _pair(count: int, sums: np.ndarray) -> np.ndarray:
-    """Return the `PAIR_STATISTICS`; sums of squares, their squares and product, differences."""
+def _pair(counts: np.ndarray, means: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """Return the `PAIR_STATISTICS` from the moments (4,) of the features of a pair."""
+    count, (p, q, _, difference) = counts[0], means
     if count == 0:
         return np.array([0.0, *(np.nan,) * 4])
-    p, q, pp, qq, pq, difference, squares = sums.tolist()
-    # Half of s / mean(s) - o / mean(o) has the mean 0 and this sum of squares, times p p q q.
-    influence = max(SCALE * (pp * q * q + qq * p * p - 2 * pq * p * q), 0) * count * count
-    spread = np.sqrt(quotient(influence, 4 * (count - 1) * p * p * q * q)) if p else 0.0
-    deviation = np.sqrt(_variance(count, difference, squares))
-    ratio = np.sqrt(quotient(p, q))
-    return np.array([count, ratio, spread, quotient(difference, count * SCALE), deviation])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, two, both, off = deviations / (count - 1)
+        # The variance of half of s / mean(s) - o / mean(o).
+        influence = (one / p**2 + two / q**2 - (both - one - two) / (p * q)) / 4
+        spread = np.sqrt(np.maximum(influence, 0.0)) if p else 0.0
+        return np.array([count, np.sqrt(p / q), spread, difference, np.sqrt(off)])
 
 
 def _binned(figures: Sequence[np.ndarray]) -> np.ndarray:

@@ -105,7 +105,7 @@ def compute(piece: Piece) -> dict[str, np.ndarray]:
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     histories = simulate(setup, range(piece.first, piece.last))
     frame = frame_of(setup, range(piece.first, piece.last), histories)
-    parts, names = CellParts(), REDUCED[piece.keep]
+    parts, names = CellParts(piece.first), REDUCED[piece.keep]
     at_once = runs_at_once(setup.scenario)
     for first in range(piece.first, piece.last, at_once):
         part = piece._replace(first=first, last=min(first + at_once, piece.last))
@@ -116,20 +116,25 @@ def compute(piece: Piece) -> dict[str, np.ndarray]:
 
 
 class CellParts:
-    """The figures of the pieces of a cell, in any order; moments are merged at once."""
+    """The figures of the pieces of a cell, in any order; moments are merged in that of the runs,
+    from run `first` on."""
 
-    def __init__(self) -> None:
-        self.runs = 0
+    def __init__(self, first: int = 0) -> None:
+        self.runs, self._merged_to = 0, first
         self._moments: dict[str, np.ndarray] = {}
+        self._waiting: dict[int, tuple[int, dict[str, np.ndarray]]] = {}
         self._others: dict[int, dict[str, np.ndarray]] = {}
 
     def add(self, piece: Piece, figures: dict[str, np.ndarray]) -> None:
         """Take those of a piece."""
         self.runs += piece.runs
         moments, others = apart(figures)
-        self._moments = merged(self._moments, moments) if self._moments else moments
         if others:
             self._others[piece.first] = others
+        self._waiting[piece.first] = piece.last, moments
+        while self._merged_to in self._waiting:
+            self._merged_to, moments = self._waiting.pop(self._merged_to)
+            self._moments = merged(self._moments, moments) if self._moments else moments
 
     def figures(self) -> dict[str, np.ndarray]:
         """Return the figures of all pieces."""

@@ -144,7 +144,8 @@ def finish(begun: Begin, engine: Engine, on_runs: Callable[[int], None]) -> Swep
         piece = missing[place]
         if folder is not None:
             save_arrays(folder, digest_of(piece, specification.digests, program()), figures)
-        parts[piece.cell].add(piece, figures)
+        if shard == WHOLE:
+            parts[piece.cell].add(piece, figures)
         runs += piece.runs
         on_runs(runs)
     seconds = time.monotonic() - started

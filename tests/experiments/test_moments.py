@@ -1,67 +1,22 @@
-"""Moments of many runs: exact sums against fractions, any grouping, statistics against numpy."""
-
-import math
-from functools import reduce
+"""Moments of many runs: pieces in any order, and statistics against numpy."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
-from concord.experiments.monte_carlo.exact_sums import (
-    LOWEST_BIT,
-    SCALE,
-    added,
-    exact_sums,
-    quotient,
-)
 from concord.experiments.monte_carlo.intervals import positive_mean_t, ratio_t
 from concord.experiments.monte_carlo.moments import (
     PAIR_STATISTICS,
     QUANTILES,
     STATISTICS,
     apart,
-    merged,
     reduced,
     statistics_of,
 )
+from concord.experiments.sweep.pieces import CellParts, Piece
 
-# Numbers whose last bit is not below the lowest that sums have.
-NUMBERS = st.floats(-1e300, 1e300).filter(lambda x: x == 0 or abs(x) > 2.0 ** (60 - LOWEST_BIT))
 RUNS, STEPS = 37, 3
 NAMES = ("rmse", "rmse_centralised", "share_age", "error", "bound")
 SHAPES = {"rmse": (), "rmse_centralised": (), "share_age": (), "error": (STEPS,), "bound": (STEPS,)}
-
-
-@given(arrays.arrays(float, st.tuples(st.integers(1, 9), st.integers(1, 3)), elements=NUMBERS))
-@settings(deadline=None)
-def test_a_sum_is_the_exact_one_rounded_once(values: np.ndarray):
-    found = [quotient(total, SCALE) for total in exact_sums(values).integers]
-    assert found == [math.fsum(column) for column in values.T]
-
-
-@given(st.lists(NUMBERS, min_size=2, max_size=9), st.randoms(use_true_random=False))
-@settings(deadline=None)
-def test_order_and_grouping_do_not_change_a_sum(numbers: list[float], random):
-    whole = exact_sums(np.array(numbers)[:, None]).integers
-    random.shuffle(numbers)
-    cut = random.randrange(1, len(numbers))
-    parts = (exact_sums(np.array(some)[:, None]) for some in (numbers[:cut], numbers[cut:]))
-    assert added(*parts).integers.tolist() == whole.tolist()
-
-
-def test_a_sum_of_many_rows_is_exact_too():
-    values = np.random.default_rng(4).normal(size=(500, 3)) * 10.0 ** np.arange(-9, 9, 6)
-    values[70] = values[400] = 1e-200
-    found = [quotient(total, SCALE) for total in exact_sums(values).integers]
-    assert found == [math.fsum(column) for column in values.T]
-
-
-def test_a_float_sum_would_depend_on_the_order():
-    # The tests above can fail: plain addition gives other bits.
-    numbers = [1e16, 1.0, -1e16, 1.0]
-    assert sum(numbers) != sum(sorted(numbers))
 
 
 def figures(runs: int, seed: int = 1) -> dict[str, np.ndarray]:
@@ -82,16 +37,24 @@ def piece(whole: dict[str, np.ndarray], runs: np.ndarray) -> dict[str, np.ndarra
     return reduced(part, NAMES)
 
 
-def test_pieces_in_any_order_and_grouping_give_the_same_bits():
+def test_pieces_in_any_order_give_the_same_bits_and_in_any_grouping_the_same_statistics():
     whole, drawn = figures(RUNS), np.random.default_rng(2)
     expected = statistics_of(piece(whole, np.arange(RUNS)), SHAPES)
     for _ in range(5):
-        order = drawn.permutation(RUNS)
         cuts = np.sort(drawn.choice(np.arange(1, RUNS), 4, replace=False))
-        parts = [piece(whole, some) for some in np.split(order, cuts)]
-        found = statistics_of(reduce(merged, parts), SHAPES)
-        for name, values in expected.items():
+        pieces = [
+            (Piece(0, b"", int(some[0]), int(some[-1]) + 1), piece(whole, some))
+            for some in np.split(np.arange(RUNS), cuts)
+        ]
+        in_order, shuffled = CellParts(), CellParts()
+        for one in pieces:
+            in_order.add(*one)
+        for place in drawn.permutation(len(pieces)):
+            shuffled.add(*pieces[place])
+        found = statistics_of(in_order.figures(), SHAPES)
+        for name, values in statistics_of(shuffled.figures(), SHAPES).items():
             assert found[name].tobytes() == values.tobytes(), name
+            np.testing.assert_allclose(values, expected[name], rtol=1e-10, err_msg=name)
 
 
 def test_statistics_are_those_of_the_runs():
