@@ -30,3 +30,21 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise NotWritten(path, error) from error
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a path to write a file at, which takes the place of `path` once it is whole.
+
+    Raises:
+        NotWritten: it cannot be written.
+    """
+    # Several shards may write to one folder.
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with writing(path):
+            yield unfinished
+            unfinished.replace(path)
+    finally:
+        # Interrupted: no file is better than a broken one.
+        unfinished.unlink(missing_ok=True)

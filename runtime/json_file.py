@@ -5,6 +5,8 @@ from typing import TypeVar
 
 import msgspec
 
+from concord.runtime.disk import whole_file
+
 T = TypeVar("T")
 
 
@@ -21,3 +23,13 @@ def read_json(path: Path, kind: type[T], cure: str, wrong: str) -> T:
         raise ValueError(f"{path}: cannot be read ({error.strerror}); {cure}") from None
     except msgspec.MsgspecError as error:
         raise ValueError(f"{path}: {wrong} ({error})") from None
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write a value as indented JSON, whole or not at all.
+
+    Raises:
+        NotWritten: the file cannot be written.
+    """
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n")

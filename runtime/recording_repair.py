@@ -5,7 +5,7 @@ from pathlib import Path
 from mcap.records import Channel, Message, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from concord.runtime.disk import writing
+from concord.runtime.disk import whole_file
 from concord.runtime.recording import whole_records
 
 
@@ -21,13 +21,8 @@ def finish_recording(path: Path) -> bool:
     """
     if not path.is_file() or _is_finished(path):
         return False
-    finished = path.with_name(f"{path.name}.part")
-    try:
-        with writing(finished):
-            _copy(path, finished)
-            finished.replace(path)
-    finally:
-        finished.unlink(missing_ok=True)
+    with whole_file(path) as finished:
+        _copy(path, finished)
     return True
 
 

@@ -22,7 +22,6 @@ from concord.experiments.design.results import (
     command_for,
     design_of,
     nearest,
-    write_design,
 )
 from concord.experiments.design.search import Found, SearchTask, search
 from concord.experiments.design.space import placements_of, space_of
@@ -36,6 +35,7 @@ from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.specification import shown, specify
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
+from concord.runtime.json_file import write_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,12 +103,12 @@ def design(
     except (KeyboardInterrupt, WorkerLost):
         if kept:
             done = Found(kept, refused, [])
-            write_design(design_of(task, done, False), out)
+            write_json(out, design_of(task, done, False))
             _say(f"interrupted; what was tried is in {out}")
         raise
     result = design_of(task, found, True)
     with user_errors():
-        write_design(result, out)
+        write_json(out, result)
     _show(result, output, out, time.monotonic() - started)
     if result.recommended is None:
         sys.exit(1)

@@ -8,7 +8,7 @@ from concord.experiments.compare.tables import as_json, latex, overviews, page
 from concord.experiments.places import make_folder
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.report_page import as_html, as_markdown
-from concord.runtime.disk import writing
+from concord.runtime.disk import whole_file
 
 if TYPE_CHECKING:
     import xarray
@@ -28,7 +28,5 @@ def write_comparison(dataset: "xarray.Dataset", figures: ComparisonFigures, fold
         "compare.json": as_json(figures).decode() + "\n",
     }
     for name, text in texts.items():
-        with writing(folder / name):
-            part = folder / f"{name}.part"
+        with whole_file(folder / name) as part:
             part.write_text(text, encoding="utf-8")
-            part.replace(folder / name)

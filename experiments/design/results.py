@@ -14,7 +14,6 @@ from concord.experiments.design.target import DesignTarget, error_of
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.specification import FIELDS, Value, shown
-from concord.runtime.disk import writing
 from concord.runtime.json_file import read_json
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
@@ -109,34 +108,14 @@ def check_place(path: Path) -> None:
     Raises:
         ValueError: naming the place and why.
     """
-    part = _part_of(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.touch()
-        part.unlink()
+        path.touch(exist_ok=False)
+        path.unlink()
     except OSError as error:
         raise ValueError(
             f"--out {path}: cannot be written ({error.strerror}); choose another place"
         ) from None
-
-
-def _part_of(path: Path) -> Path:
-    return path.with_name(f"{path.name}.part")
-
-
-def write_design(design: Design, path: Path) -> None:
-    """Write a design, whole or not at all, where `check_place` let it.
-
-    Raises:
-        NotWritten: the file cannot be written.
-    """
-    part = _part_of(path)
-    try:
-        with writing(path):
-            part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2) + b"\n")
-            part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def read_design(path: Path) -> Design:

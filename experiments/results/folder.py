@@ -27,8 +27,7 @@ from concord.experiments.tracking.track_log import CUTOFF_M
 from concord.experiments.tracking.track_variables import track_variables
 from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
-from concord.runtime.disk import writing
-from concord.runtime.json_file import read_json
+from concord.runtime.json_file import read_json, write_json
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.setup import Setup
@@ -125,9 +124,7 @@ def provenance() -> dict[str, str]:
 def write_description(folder: Path, description: Description) -> None:
     """Write run.json, and beside it the files of an own plant or rule."""
     keep_copies(folder, description.setup.scenario)
-    text = msgspec.json.format(msgspec.json.encode(description), indent=2)
-    with writing(folder / DESCRIPTION):
-        (folder / DESCRIPTION).write_bytes(text + b"\n")
+    write_json(folder / DESCRIPTION, description)
 
 
 def read_description(folder: Path) -> Description:

@@ -1,73 +1,20 @@
 """A data set as a netCDF file, written whole or not at all, and read whole or refused.
 
 HDF5 crashes the process that closes a file of which a full disk has not taken all (h5py 3.16,
-HDF5 2.0). So it writes through a file that takes everything, and remembers what the disk did not.
+HDF5 2.0). So it writes into memory.
 """
 
-import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-from concord.runtime.disk import writing
+from concord.runtime.disk import whole_file
 
 if TYPE_CHECKING:
     import xarray
-
-
-class _Patient(io.RawIOBase):
-    """A file whose writes never fail: the first one that does is kept as `error`."""
-
-    def __init__(self, path: Path) -> None:
-        # Without a buffer, whose last part would fail as it is closed.
-        self._file = path.open("w+b", buffering=0)
-        self.error: OSError | None = None
-
-    def write(self, data: Any, /) -> int:
-        """All of `data`, as far as anybody can tell."""
-        left = memoryview(data).cast("B")
-        size = len(left)
-        try:
-            while self.error is None and left:
-                left = left[self._file.write(left) :]
-        except OSError as error:
-            self.error = error
-        return size
-
-    def truncate(self, size: int | None = None, /) -> int:
-        """Set the length of the file; return it."""
-        return self._file.truncate(size) if self.error is None else (size or 0)
-
-    def readinto(self, buffer: Any, /) -> int:
-        """Read bytes of the file into the buffer; return their number."""
-        return self._file.readinto(buffer)
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
-        """Go on somewhere else."""
-        return self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        """Where the next byte goes."""
-        return self._file.tell()
-
-    def readable(self) -> bool:
-        """HDF5 reads what it has written."""
-        return True
-
-    def writable(self) -> bool:
-        """It is for writing."""
-        return True
-
-    def seekable(self) -> bool:
-        """HDF5 writes here and there."""
-        return True
-
-    def close(self) -> None:
-        """Let the file go."""
-        self._file.close()
-        super().close()
 
 
 def write_dataset(
@@ -80,22 +27,15 @@ def write_dataset(
     """
     from xarray.backends import H5NetCDFStore
 
-    part = path.with_name(f"{path.name}.part")
+    buffer = BytesIO()
+    # `to_netcdf` asks for a lock, and loads all of dask for it where that is installed.
+    store = H5NetCDFStore.open(buffer, mode="w", lock=False)
     try:
-        with writing(path):
-            with _Patient(part) as file:
-                # `to_netcdf` asks for a lock, and loads all of dask for it where that is installed.
-                store = H5NetCDFStore.open(file, mode="w", lock=False)
-                try:
-                    dataset.dump_to_store(store, encoding=encoding)
-                finally:
-                    store.close()
-                if file.error is not None:
-                    raise file.error
-            part.replace(path)
+        dataset.dump_to_store(store, encoding=encoding)
     finally:
-        # Interrupted: no arrays are better than broken ones.
-        part.unlink(missing_ok=True)
+        store.close()
+    with whole_file(path) as part:
+        part.write_bytes(buffer.getbuffer())
 
 
 def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Dataset":

@@ -3,7 +3,6 @@
 A piece is written whole or not at all, so an interrupted sweep continues where it stopped.
 """
 
-import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -15,8 +14,8 @@ from concord.experiments.places import make_folder
 from concord.experiments.sweep.cells import difference
 from concord.experiments.sweep.pieces import Origin, program
 from concord.experiments.sweep.specification import Specification
-from concord.runtime.disk import writing
-from concord.runtime.json_file import read_json
+from concord.runtime.disk import whole_file
+from concord.runtime.json_file import read_json, write_json
 
 SPECIFICATION = "sweep.json"
 
@@ -49,7 +48,7 @@ def open_store(result: Path, specification: Specification) -> Path:
     make_folder(folder, "--out", result)
     if not (folder / SPECIFICATION).exists():
         now = Begun(specification, here.versions, here.commit)
-        _write(folder / SPECIFICATION, msgspec.json.format(msgspec.json.encode(now), indent=2))
+        write_json(folder / SPECIFICATION, now)
         return folder
     before = read_begun(folder)
     check_same(before.specification, specification, result, f"remove {folder} to begin anew")
@@ -86,16 +85,8 @@ def check_same(before: Specification, now: Specification, result: Path, cure: st
 
 def save_arrays(folder: Path, name: str, arrays: dict[str, np.ndarray]) -> None:
     """Write arrays under a name, whole or not at all."""
-    path = _path(folder, name)
-    # Several shards may write to one folder.
-    part = path.with_suffix(f".{os.getpid()}.part")
-    try:
-        with writing(path):
-            with part.open("wb") as file:
-                np.savez(file, **arrays)  # type: ignore[arg-type]
-            part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(_path(folder, name)) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray] | None:
@@ -114,10 +105,3 @@ def remove_store(result: Path) -> None:
 
 def _path(folder: Path, name: str) -> Path:
     return folder / f"{name}.npz"
-
-
-def _write(path: Path, data: bytes) -> None:
-    part = path.with_suffix(f".{os.getpid()}.part")
-    with writing(path):
-        part.write_bytes(data + b"\n")
-        part.replace(path)

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from concord.runtime.disk import writing
-from concord.runtime.json_file import read_json
+from concord.runtime.json_file import read_json, write_json
 
 NETWORK = "network.json"
 
@@ -20,10 +19,7 @@ class NetworkAddresses(msgspec.Struct, frozen=True):
 
 def write_network(folder: Path, network: NetworkAddresses) -> None:
     """Write network.json whole, over an older one."""
-    unfinished = folder / f"{NETWORK}.part"
-    with writing(folder / NETWORK):
-        unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
-        unfinished.rename(folder / NETWORK)
+    write_json(folder / NETWORK, network)
 
 
 def read_network(folder: Path) -> NetworkAddresses:

@@ -12,7 +12,7 @@ import pytest
 from concord.bus.schedule import publishers_per_cycle
 from concord.experiments.__main__ import main
 from concord.experiments.design.candidates import Cost, candidates_of
-from concord.experiments.design.results import design_of, nearest, read_design, write_design
+from concord.experiments.design.results import design_of, nearest, read_design
 from concord.experiments.design.search import FRESH_RUN, Found, SearchTask, search
 from concord.experiments.design.space import (
     OPEN,
@@ -24,6 +24,7 @@ from concord.experiments.design.space import (
 from concord.experiments.design.target import BusLimits, DesignTarget, error_of, parse_target
 from concord.experiments.sweep.pieces import Piece
 from concord.experiments.sweep.specification import shown, specify
+from concord.runtime.json_file import write_json
 from concord.scenarios.bus_plan import build_schedule
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import flat
@@ -152,7 +153,7 @@ def test_a_target_that_nothing_meets_says_the_best():
 def test_the_front_is_written_and_read_again(tmp_path: Path):
     task, found = found_for("1.6x-centralised")
     design = design_of(task, found, True)
-    write_design(design, tmp_path / "d.json")
+    write_json(tmp_path / "d.json", design)
     assert read_design(tmp_path / "d.json") == design
     line = sorted((one for one in design.tried if one.front), key=lambda one: one.error.value)
     costs = [(one.costs["occupancy"], one.costs["bytes"]) for one in line]
