@@ -292,23 +292,6 @@ def test_many_runs_have_innovations_and_a_verdict(
         np.testing.assert_array_equal(np.isfinite(data["nis"].to_numpy()), taken)
 
 
-@pytest.mark.zenoh
-def test_processes_have_the_innovations_of_one_process(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    told, arrays = [], []
-    for driver in ("in-process", "processes"):
-        options = f"--driver {driver} --json --out {tmp_path}/{driver}"
-        main(f"run --scenario oscillator --nodes 3 --graph path --steps 40 {options}".split())
-        told.append(json.loads(capsys.readouterr().out))
-        with xarray.open_dataset(tmp_path / driver / "run.nc", engine="h5netcdf") as data:
-            arrays.append(data.load())
-    assert told[0]["verdict"] == told[1]["verdict"]
-    assert told[0]["innovations"] == told[1]["innovations"]
-    for name in ("innovation", "innovation_cov", "nis", "centralised_nis"):
-        assert arrays[0][name].to_numpy().tobytes() == arrays[1][name].to_numpy().tobytes()
-
-
 def test_the_table_of_channels_fits_eighty_columns():
     console = Console(width=80, record=True, file=StringIO())
     found = figures(steps=40).innovations

@@ -1,6 +1,5 @@
 """Test the figures that other runs give for a run, and that they slow no network beside them."""
 
-import json
 import os
 import subprocess
 import sys
@@ -15,10 +14,11 @@ from concord.dashboard.frames.replay import assembled
 from concord.dashboard.frames.stage import set_stage
 from concord.experiments.monte_carlo import other_runs
 from concord.experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
+from concord.experiments.monte_carlo.run_figures import figures_of
+from concord.experiments.monte_carlo.run_frame import frame_of
+from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.priority import give_way
-from concord.filters.gaussian import Gaussian
 from concord.runtime.drivers import in_memory
-from concord.scenarios.baselines import BaselineContent, baseline_step
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
@@ -29,7 +29,7 @@ SETUP = setup_of("oscillator", nodes=4, steps=25)
 NICENESS = 15
 
 
-def test_the_band_is_that_of_runs_message_by_message():
+def test_band_and_bound_are_those_of_the_runs():
     runs = 4
     nees = []
     for number in range(1000, 1000 + runs):
@@ -40,24 +40,10 @@ def test_the_band_is_that_of_runs_message_by_message():
     low, high = np.quantile(nees, [0.025, 0.975], axis=0)
     np.testing.assert_allclose(np.array(told.nees_low, float), low, rtol=1e-8)
     np.testing.assert_allclose(np.array(told.nees_high, float), high, rtol=1e-8)
-
-
-def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
-    told = told_by(SETUP, 3)
-    listen = baseline_step(SETUP, list(range(4)))
-    prior = Gaussian(np.array(SETUP.prior_mean), np.array(SETUP.prior_cov))
-    content = BaselineContent(prior)
-    taken = {}
-    for topic, data in in_memory(SETUP):
-        if topic.startswith("measured/"):
-            said = json.loads(data)
-            taken[said["step"], said["node"]] = said["readings"]
-    states = list(definition_named("oscillator").score.states)
-    for step in range(25):
-        readings = np.array([taken[step, node] for node in range(4)], dtype=float)
-        content = listen(content, step, readings, None)
-        bound = np.sqrt(np.diagonal(content.belief.cov)[states].sum())
-        assert told.bound[step] == pytest.approx(bound, rel=1e-6)
+    numbers = range(1000, 1000 + runs)
+    histories = simulate(SETUP, numbers)
+    figures = figures_of(SETUP, histories, frame_of(SETUP, numbers, histories))
+    np.testing.assert_allclose(np.array(told.bound, float), figures["bound"])
 
 
 def test_what_is_told_is_found_by_time_and_unknown_steps_are_the_last():

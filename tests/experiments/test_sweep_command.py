@@ -203,9 +203,7 @@ def test_the_command_prints_figures_for_machines(result: Path, capsys: pytest.Ca
     [
         (["--graph", "ring,rnig"], "cell graph=rnig (2 of 2)"),
         (["--rule", "ci", "--occupancy", "0,1"], "(0, 1]"),
-        (["--runs", "0"], "--runs 0"),
         (["--latin-hypercube", "5"], "nothing is swept"),
-        (["--dask", "tcp://127.0.0.1:1", "--workers", "1"], "leave one of them out"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(

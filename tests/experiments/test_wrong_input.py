@@ -1,13 +1,12 @@
 """Test user errors: one line with name and cure, exit code 2, and no unfinished files."""
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING
+from concord.experiments.results.folder import RECORDING
 from tests.experiments.flexray_support import concord, refused
 from tests.processes import PROC
 
@@ -72,14 +71,6 @@ def test_an_empty_recording_shows_no_page(complaint, home: Path):
     assert "run.mcap: nothing was recorded; the run ended" in complaint("replay run")
 
 
-@pytest.mark.parametrize("command", ["plot run", "report run"])
-def test_arrays_that_are_none_are_made_again_by_collect(complaint, home: Path, command: str):
-    (home / "run" / ARRAYS).write_bytes(b"not netCDF")
-    said = complaint(command)
-    assert "run/run.nc: cannot be read as netCDF" in said
-    assert "`concord collect run` makes it again" in said
-
-
 def test_a_folder_is_no_file_for_a_sweep(complaint):
     said = complaint("sweep --scenario oscillator --nodes 3 --steps 3 --runs 2 --out run")
     assert "run is a folder; name the file" in said
@@ -89,13 +80,6 @@ def test_a_setup_that_is_not_there_is_told_from_a_run(complaint):
     said = complaint("node nothing.json 0 --connect tcp/127.0.0.1:7447")
     assert "nothing.json: cannot be read" in said
     assert "`concord setup`" in said
-
-
-def test_a_setup_of_another_kind_is_refused(complaint, home: Path):
-    (home / "run" / DESCRIPTION).write_text(json.dumps({"run": 3}))
-    assert "not the description of a run" in complaint(
-        "environment run/run.json --connect tcp/[::1]:1"
-    )
 
 
 @pytest.mark.skipif(not PROC.is_dir(), reason="needs a folder that takes no file from anybody")
@@ -139,13 +123,6 @@ def test_a_design_that_cannot_be_kept_is_not_looked_for(complaint):
     fields = "--scenario oscillator --nodes 3 --steps 3 --graph ring,path --target-rmse 1"
     said = complaint(f"design {fields} --runs 2 --out {PROC}/design.json")
     assert f"--out {PROC}/design.json: cannot be written (" in said
-
-
-@pytest.mark.parametrize("command", ["run", "flexray plan"])
-@pytest.mark.parametrize("file", ["broken.toml", "broken.xml"])
-def test_a_cluster_file_that_is_none_is_named(complaint, home: Path, command: str, file: str):
-    (home / file).write_text("<a")
-    assert complaint(f"{command} --steps 2 --cluster {file}").startswith(f"concord: {file}: the ")
 
 
 @pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify"])
