@@ -112,6 +112,16 @@ def family(command: Sequence[str], folder: Path, interactive: bool = False) -> I
                 stream.close()
 
 
+def interrupted(run: Family, begun: Callable[[], object]) -> str:
+    """Standard error of a command that Ctrl-C ends, with all its workers, once it has begun."""
+    assert holds_within(PATIENCE_S, begun)
+    run.send_to_group(signal.SIGINT)
+    code, _, said = run.end(10 * PATIENCE_S)
+    assert code == 130 and "Traceback" not in said, said
+    assert run.gone_within(10)
+    return said
+
+
 def slowdown() -> float:
     """How many times longer than on an idle machine something may take now.
 

@@ -2,17 +2,15 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import NamedTuple
 
 import msgspec
 
 from concord.experiments.compare.suite import SUITE, Case
 from concord.experiments.memory import check_workers, needed_bytes
-from concord.experiments.results.folder import commit, versions
 from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.cells import sorted_out
-from concord.experiments.sweep.pieces import runs_at_once
+from concord.experiments.sweep.pieces import program, runs_at_once
 from concord.experiments.sweep.specification import Specification, cells_of, specify
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import rule_of
@@ -37,20 +35,14 @@ class Entry(NamedTuple):
     @property
     def digest(self) -> str:
         """Digest of all that the figures follow from: options, rule's file, version and commit."""
-        return hashlib.sha256(msgspec.json.encode((self.specification, *_program()))).hexdigest()[
-            :24
-        ]
+        content = msgspec.json.encode((self.specification, program()))
+        return hashlib.sha256(content).hexdigest()[:24]
 
     @property
     def is_kept(self) -> bool:
         """Whether its figures may be kept: a file has the rule, or concord itself."""
         assert self.specification is not None, "the entry can run"
         return all(self.specification.digests.values())
-
-
-@cache
-def _program() -> tuple[dict[str, str], str | None]:
-    return versions(), commit()
 
 
 def asked_cases(names: Sequence[str] | None, runs: int | None) -> list[Case]:

@@ -1,10 +1,7 @@
 """`concord compare`: the suite, paired figures of all rules and own ones, reasons, resumption."""
 
 import json
-import os
-import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +19,7 @@ from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from tests.experiments.flexray_support import concord, refused
-from tests.pages import ROOT
-from tests.processes import PATIENCE_S, holds_within
+from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow
 
@@ -218,23 +214,16 @@ def test_a_mistake_is_one_line_and_starts_nothing(
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_finished_entries_and_the_same_command_goes_on(tmp_path: Path):
-    command = [
-        sys.executable, "-m", "concord.experiments", "compare", "--case", CASE, "--runs", "20",
-        "--workers", "2", "-o", str(tmp_path / "out"),
-    ]  # fmt: skip
-    # A session of its own: the interruption reaches the whole group, as from a terminal.
-    started = subprocess.Popen(
-        command, cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE, text=True
-    )
+    words = ["compare", "--case", CASE, "--runs", "20", "--workers", "2", "-o", "out"]
     kept = tmp_path / "out" / KEPT
-    assert holds_within(PATIENCE_S, lambda: list(kept.glob("*/*.npz")))
-    os.killpg(started.pid, signal.SIGINT)
-    _, said = started.communicate(timeout=600)
-    assert started.returncode == 130, said
-    assert "the same command goes on" in said and "Traceback" not in said
+    with family([*CONCORD, *words], tmp_path) as run:
+        said = interrupted(run, lambda: list(kept.glob("*/*.npz")))
+    assert "the same command goes on" in said
     count = len(list(kept.glob("*/*.npz")))
     assert count > 0 and not (tmp_path / "out" / "results.nc").exists()
-    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    again = subprocess.run(
+        [*CONCORD, *words], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert f"{count} of these were computed before" in again.stderr
     assert (tmp_path / "out" / "results.nc").exists()
 

@@ -65,19 +65,26 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
         return {
             "rmse": ratio * common * own,
             "rmse_centralised": common,
-            "anees": np.full(len(runs), 0.8),
             "published": np.full(len(runs), occupancy),
             "bytes_per_step": np.full(len(runs), sent),
             "energy_per_step": np.full(len(runs), sent * (3 if graph == "complete" else 1)),
             "bus_load": np.full(len(runs), occupancy / 2),
-            "bus_time_us": np.full(len(runs), sent * 0.8),
             "delay_us": np.full(len(runs), 1000.0 * s.rounds),
-            "bound": np.full(s.steps, 0.5),
         }
 
+    return engine_of(figures)
+
+
+def engine_of(figures: Callable[[Piece], dict[str, np.ndarray]]):
+    """An engine that gives pieces these figures, the last piece first; others are 1."""
+    others = ("rmse_centralised", "anees", "published", "bytes_per_step", "energy_per_step",
+              "bus_load", "bus_time_us", "delay_us")  # fmt: skip
+
     def engine(_function, pieces: Sequence[Piece]):
-        for place in reversed(range(len(pieces))):
-            yield place, figures(pieces[place])
+        for place, piece in reversed(list(enumerate(pieces))):
+            found = dict.fromkeys(others, np.ones(piece.runs)) | figures(piece)
+            scenario = msgspec.json.decode(piece.scenario, type=Scenario)
+            yield place, {"bound": np.ones(scenario.steps), **found}
 
     return engine
 
@@ -279,28 +286,14 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
     """Run r has placement r modulo their number, however many runs a candidate grows by."""
     taken: dict[bytes, list[int]] = {}
 
-    def engine(_function, pieces: Sequence[Piece]):
-        for place in reversed(range(len(pieces))):
-            piece = pieces[place]
-            scenario = msgspec.json.decode(piece.scenario, type=Scenario)
-            runs = np.arange(piece.first, piece.last)
-            placement = flat(scenario)["placement"]
-            taken.setdefault(piece.scenario, []).extend(runs.tolist())
-            yield (
-                place,
-                {
-                    "rmse": 1.0 + placement + 0.001 * (runs % 100),
-                    "rmse_centralised": np.ones(len(runs)),
-                    "anees": np.ones(len(runs)),
-                    "published": np.ones(len(runs)),
-                    "bytes_per_step": np.full(len(runs), 10.0 + (scenario.rule.name == "hcmci")),
-                    "energy_per_step": np.ones(len(runs)),
-                    "bus_load": np.ones(len(runs)),
-                    "bus_time_us": np.ones(len(runs)),
-                    "delay_us": np.ones(len(runs)),
-                    "bound": np.ones(scenario.steps),
-                },
-            )
+    def figures(piece: Piece) -> dict[str, np.ndarray]:
+        scenario = msgspec.json.decode(piece.scenario, type=Scenario)
+        runs = np.arange(piece.first, piece.last)
+        taken.setdefault(piece.scenario, []).extend(runs.tolist())
+        return {
+            "rmse": 1.0 + flat(scenario)["placement"] + 0.001 * (runs % 100),
+            "bytes_per_step": np.full(len(runs), 10.0 + (scenario.rule.name == "hcmci")),
+        }
 
     asked = {
         "scenario": "target-tracking", "placement": "0,1,2", "rule": "ci,hcmci", "graph": "ring",
@@ -311,8 +304,8 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
     assert "placement" not in space
     placements = placements_of(specification)
     task = SearchTask(
-        parse_target("9x-centralised"), "bytes", settled, space, 31, engine, 1, lambda _: None,
-        placements=placements,
+        parse_target("9x-centralised"), "bytes", settled, space, 31, engine_of(figures), 1,
+        lambda _: None, placements=placements,
     )  # fmt: skip
     found = search(task, [], [])
     for one in found.candidates:

@@ -1,11 +1,8 @@
 """`concord sweep` end to end: the file, going on, refusals, the same from any number of workers."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +18,7 @@ from concord.experiments.sweep.store import folder_of
 from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
-from tests.pages import ROOT
-from tests.processes import PATIENCE_S, holds_within
+from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow
 
@@ -222,40 +218,18 @@ def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Pa
     assert best.rmse.value == min(cell.rmse.value for cell in cells)
 
 
-def group_ends(group: int, within_s: float) -> bool:
-    """Whether no process of the group is left; Python's own helpers notice a moment later."""
-
-    def is_gone() -> bool:
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        return False
-
-    return holds_within(within_s, is_gone)
-
-
 @pytest.mark.slow
 def test_ctrl_c_keeps_finished_pieces_and_ends_every_worker(tmp_path: Path):
     command = [
-        sys.executable, "-m", "concord.experiments", "sweep",
-        "--scenario", "oscillator", "--nodes", "4",
-        "--steps", "40", "--seed", "1..30", "--runs", "4", "--workers", "2",
-        "-o", str(tmp_path / "s.nc"),
+        *CONCORD, "sweep", "--scenario", "oscillator", "--nodes", "4",
+        "--steps", "40", "--seed", "1..30", "--runs", "4", "--workers", "2", "-o", "s.nc",
     ]  # fmt: skip
-    # A session of its own: the interruption reaches the whole group, as from a terminal.
-    started = subprocess.Popen(
-        command, cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE, text=True
-    )
     folder = folder_of(tmp_path / "s.nc")
-    assert holds_within(PATIENCE_S, lambda: list(folder.glob("*.npz")))
-    os.killpg(started.pid, signal.SIGINT)
-    _, said = started.communicate(timeout=600)
-    assert started.returncode == 130
-    assert "go on with: concord sweep --scenario oscillator" in said and "Traceback" not in said
+    with family(command, tmp_path) as run:
+        said = interrupted(run, lambda: list(folder.glob("*.npz")))
+    assert "go on with: concord sweep --scenario oscillator" in said
     kept = len(list(folder.glob("*.npz")))
     assert 0 < kept < 30 and not (tmp_path / "s.nc").exists()
-    assert group_ends(started.pid, within_s=10)
-    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert f"goes on: {kept} of 30 pieces were computed before" in again.stderr
     assert (tmp_path / "s.nc").exists() and not folder.exists()
