@@ -4,13 +4,14 @@ python -m benchmarks.picture runs/bench.json docs/performance.png draws it again
 """
 
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from benchmarks.compare import Kept
-from benchmarks.measure import BenchmarkFigure, BenchmarkFigures
+from benchmarks.measure import BenchmarkFigures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,13 +29,12 @@ FILTERS = {
     "numpy, many": "concord, 10,000 filters",
     "C loop": "loop in C, models in C",
 }
-# Label, benchmark, figure.
+# Label, benchmark, figure, and what the figure should be.
 TIMES_AS_FAST = (
-    ("fusion / Python loop", "fusion", "numpy, 1 round x loop"),
-    ("set membership, exact / solver", "set-membership", "exact x generic"),
-    ("set membership, closed form / solver", "set-membership", "fast x generic"),
+    ("fusion / Python loop", "fusion", "numpy, 1 round x loop", None),
+    ("set membership, exact / solver", "set-membership", "exact x generic", None),
+    ("set membership, closed form / solver", "set-membership", "fast x generic", None),
 )
-# And whether the figure should be above or below the aim.
 RATIOS = (
     ("five rounds of fusion / one", "fusion", "numpy, five rounds over one", 1.4),
     ("Monte Carlo / its filters", "monte-carlo", "numpy, end to end over kernels", 1.5),
@@ -105,45 +105,42 @@ def _draw_filters(axes: "Axes", ukf: BenchmarkFigures) -> None:
 
 def _draw_ratios(axes: "Axes", results: FiguresByCase) -> None:
     """Ratios of two times or rates beside what they should be."""
-    found = [
-        (label, aim, figure)
-        for label, bench, name, aim in RATIOS
-        if (figure := results.get(bench, {}).get(name)) is not None
-    ]
-    for row, (_, aim, figure) in enumerate(found):
-        _bar(axes, row, figure, f"{figure.value:.2f}", aim)
-        if aim is not None:
-            axes.plot([aim, aim], [row - 0.4, row + 0.4], color="black")
+    _draw_bars(axes, results, RATIOS, lambda value: f"{value:.2f}")
     axes.set_xlim(0, 2.4)
-    axes.set_yticks(range(len(found)), [label for label, *_ in found])
     axes.set_title("ratios; black: the aim", fontsize=10)
-    _plain(axes)
 
 
 def _draw_times(axes: "Axes", results: FiguresByCase) -> None:
     """How many times as fast as the plain way."""
-    found = [
-        (label, figure)
-        for label, bench, name in TIMES_AS_FAST
-        if (figure := results.get(bench, {}).get(name)) is not None
-    ]
-    for row, (_, figure) in enumerate(found):
-        _bar(axes, row, figure, f"{_in_short(figure.value)} x")
+    _draw_bars(axes, results, TIMES_AS_FAST, lambda value: f"{_in_short(value)} x")
     axes.set_xscale("log")
     axes.set_xlim(1, 1e5)
-    axes.set_yticks(range(len(found)), [label for label, _ in found])
     axes.set_title("times as fast", fontsize=10)
-    _plain(axes)
 
 
-def _bar(
-    axes: "Axes", row: int, figure: BenchmarkFigure, text: str, aim: float | None = None
+def _draw_bars(
+    axes: "Axes",
+    results: FiguresByCase,
+    bars: Sequence[tuple[str, str, str, float | None]],
+    text: Callable[[float], str],
 ) -> None:
-    """A median, and its quartiles as a line; the text is right of them and of the aim."""
-    end = figure.high if aim is None else max(figure.high, aim)
-    axes.barh(row, figure.value, 0.6, color=INK, alpha=0.75)
-    axes.plot([figure.low, figure.high], [row, row], color=GREY)
-    axes.annotate(text, (end, row), (5, 0), textcoords="offset points", va="center")
+    """Medians, quartiles as lines, and aims; the text is right of them."""
+    found = [
+        (label, aim, figure)
+        for label, bench, name, aim in bars
+        if (figure := results.get(bench, {}).get(name)) is not None
+    ]
+    for row, (_, aim, figure) in enumerate(found):
+        end = figure.high if aim is None else max(figure.high, aim)
+        axes.barh(row, figure.value, 0.6, color=INK, alpha=0.75)
+        axes.plot([figure.low, figure.high], [row, row], color=GREY)
+        axes.annotate(
+            text(figure.value), (end, row), (5, 0), textcoords="offset points", va="center"
+        )
+        if aim is not None:
+            axes.plot([aim, aim], [row - 0.4, row + 0.4], color="black")
+    axes.set_yticks(range(len(found)), [label for label, *_ in found])
+    _plain(axes)
 
 
 def _draw_growth(axes: "Axes", figures: BenchmarkFigures, growth: Growth) -> None:

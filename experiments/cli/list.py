@@ -72,18 +72,16 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
             str(_steps(definition) or "as --data"),
         )
     console.print(scenarios)
-    rules = Table("rule", "what it promises")
-    for name, summary in RULE_SUMMARIES.items():
-        rules.add_row(name, summary)
-    console.print(rules)
-    filters = Table("filter", "what it is")
-    for name, summary in FILTER_SUMMARIES.items():
-        filters.add_row(name, summary)
-    console.print(filters)
-    faults = Table("fault", "what happens")
-    for word, fault in EVERY_FAULT.items():
-        faults.add_row(escape(usage(word)), fault.summary)
-    console.print(faults)
+    faults = {escape(usage(word)): fault.summary for word, fault in EVERY_FAULT.items()}
+    for what, meaning, summaries in (
+        ("rule", "what it promises", RULE_SUMMARIES),
+        ("filter", "what it is", FILTER_SUMMARIES),
+        ("fault", "what happens", faults),
+    ):
+        described = Table(what, meaning)
+        for name, summary in summaries.items():
+            described.add_row(name, summary)
+        console.print(described)
     for what, values in names.items():
         console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
     for name, of_option in own.items():

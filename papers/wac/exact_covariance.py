@@ -56,15 +56,6 @@ class ExactFigures(NamedTuple):
     disagreement: np.ndarray
 
 
-class NetworkFigures(NamedTuple):
-    """Over the nodes, (...): root mean square, mean, maximum and root mean square."""
-
-    relative_rmse: np.ndarray
-    anees: np.ndarray
-    lambda_max: np.ndarray
-    disagreement: np.ndarray
-
-
 def network_of(plant: LinearPlant) -> LinearNetwork:
     """The network of a plant and its sensors.
 
@@ -130,9 +121,9 @@ def figures_of(moments: Moments) -> ExactFigures:
     )
 
 
-def over_nodes(figures: ExactFigures) -> NetworkFigures:
-    """The figures of the network as a whole."""
-    return NetworkFigures(
+def over_nodes(figures: ExactFigures) -> ExactFigures:
+    """The network as a whole, (...): root mean square, mean, maximum, root mean square."""
+    return ExactFigures(
         np.sqrt((figures.relative_rmse**2).mean(axis=-1)),
         figures.anees.mean(axis=-1),
         figures.lambda_max.max(axis=-1),

@@ -5,6 +5,7 @@ average, with three rounds per step and matched noise. The loop is closed throug
 in the paper's design; the estimate shown is that of a node that measures nothing.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from concord.nodes.rules.local_filter import (
 )
 from concord.plants.control import cruise, motor, pitch, suspension
 from concord.plants.control.closed_loop import Controller, closed_loop
+from concord.plants.control.continuous import ContinuousPlant
 from concord.plants.control.controllers import StateFeedback
 from concord.plants.control.design import placed_feedback
 from concord.plants.control.references import Staircase, constant
@@ -131,29 +133,23 @@ def _pitch_loops() -> dict[str, Loop]:
 
 
 def _speed_loops() -> dict[str, Loop]:
-    plant, step_s = motor.speed_dynamics(), motor.TIME_STEP_S
-
-    def feedback(signal: Signal) -> Loop:
-        return Loop(placed_feedback(plant, step_s, motor.SPEED_POLES, signal), follows=True)
-
     at_rest = motor.speed_transfer_function()(0)
-    return {
-        "closed loop, square": feedback(motor.REFERENCE),
-        "closed loop, stairs": feedback(STAIRS),
-        "open loop: 10.01 V per rad/s": Loop(_drive(1 / float(at_rest), STAIRS, 2), follows=True),
+    return _motor_loops(motor.speed_dynamics(), motor.SPEED_POLES) | {
+        "open loop: 10.01 V per rad/s": Loop(_drive(1 / float(at_rest), STAIRS, 2), follows=True)
     }
 
 
 def _position_loops() -> dict[str, Loop]:
-    plant, step_s = motor.position_dynamics(), motor.TIME_STEP_S
+    return _motor_loops(motor.position_dynamics(), motor.POSITION_POLES) | {
+        "open loop: 5 V": Loop(_drive(1.0, constant(5.0), 3), follows=False)
+    }
 
-    def feedback(signal: Signal) -> Loop:
-        return Loop(placed_feedback(plant, step_s, motor.POSITION_POLES, signal), follows=True)
 
+def _motor_loops(plant: ContinuousPlant, poles: Sequence[complex]) -> dict[str, Loop]:
+    references = {"closed loop, square": motor.REFERENCE, "closed loop, stairs": STAIRS}
     return {
-        "closed loop, square": feedback(motor.REFERENCE),
-        "closed loop, stairs": feedback(STAIRS),
-        "open loop: 5 V": Loop(_drive(1.0, constant(5.0), 3), follows=False),
+        title: Loop(placed_feedback(plant, motor.TIME_STEP_S, poles, signal), follows=True)
+        for title, signal in references.items()
     }
 
 
