@@ -27,10 +27,6 @@ CONNECTED = st.builds(
 )
 
 
-def disagreement(values):
-    return np.linalg.norm(values - values.mean())
-
-
 def left_by(weights, rounds):
     """The largest part of a disagreement that survives, by simulation of a basis of them."""
     nodes = weights.shape[0]
@@ -41,30 +37,14 @@ def left_by(weights, rounds):
 
 
 @pytest.mark.parametrize("rule", [metropolis, maximum_degree, best_constant])
-@given(adjacency=CONNECTED, seed=st.integers(0, 10**6))
+@given(adjacency=CONNECTED)
 @settings(deadline=None, max_examples=25)
-def test_disagreement_falls_at_the_predicted_rate(rule, adjacency, seed):
-    """No round leaves more than predicted, and from the worst beginning L rounds leave factor^L."""
+def test_disagreement_falls_at_the_predicted_rate(rule, adjacency):
+    """From the worst beginning L rounds leave factor^L."""
     weights = rule(adjacency)
     factor = second_eigenvalue_modulus(weights)
-    values = np.random.default_rng(seed).normal(size=adjacency.shape[0])
-    for _ in range(10):
-        after = weights @ values
-        assert disagreement(after) <= factor * disagreement(values) * (1 + 1e-9) + 1e-12
-        assert after.mean() == pytest.approx(values.mean(), abs=1e-12)
-        values = after
     for rounds in (1, 2, 3, 10):
         assert left_by(weights, rounds) == pytest.approx(factor**rounds, rel=1e-9, abs=1e-12)
-
-
-@given(adjacency=CONNECTED)
-@settings(deadline=None)
-def test_the_predicted_rounds_are_enough_and_not_too_many(adjacency):
-    weights = metropolis(adjacency)
-    rounds = rounds_to(0.01, second_eigenvalue_modulus(weights))
-    assert rounds is not None
-    assert left_by(weights, rounds) <= 0.01 * (1 + 1e-9)
-    assert rounds == 1 or left_by(weights, rounds - 1) > 0.01 * (1 - 1e-9)
 
 
 def test_rounds_to_one_percent_are_those_of_the_reference_networks():
@@ -104,17 +84,6 @@ def test_shapes_have_their_textbook_figures():
     assert analyse(grid(3, 4), metropolis(grid(3, 4))).diameter == 5
     one = analyse(ring(1), metropolis(ring(1)))
     assert (one.diameter, one.second_eigenvalue_modulus, one.rounds_to_one_percent) == (0, 0.0, 1)
-
-
-def test_cut_nodes_are_those_whose_loss_divides_the_rest():
-    adjacency = build_graph("geometric", 18, 2)
-    cut = []
-    for node in range(18):
-        rest = np.delete(np.delete(adjacency.toarray(), node, axis=0), node, axis=1)
-        if len(components(csr_array(rest))) > 1:
-            cut.append(node)
-    assert cut
-    assert analyse(adjacency, metropolis(adjacency)).cut_nodes == tuple(cut)
 
 
 def test_a_graph_in_pieces_says_so():
