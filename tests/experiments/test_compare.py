@@ -18,7 +18,7 @@ from concord.experiments.sweep.workers import in_this_process
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from tests.experiments.flexray_support import concord, refused
+from tests.experiments.flexray_support import concord
 from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow
@@ -186,30 +186,6 @@ def test_the_latex_table_has_a_row_of_nine_cells_for_every_rule_that_ran(result)
     ran = int((result["reason"] == "").sum())
     assert len(rows) == 1 + ran
     assert {row.count("&") for row in rows} == {8}
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--rule", "covariance"], "must be FILE.py:NAME"),
-        (["--rule", "ci"], "every built-in rule takes part anyway"),
-        (["--rule", "./none.py:RULE"], "there is no file ./none.py"),
-        (["--case", "geometrc"], "did you mean 'geometric'?"),
-        (["--runs", "0"], "--runs 0: must be at least 1"),
-        (["--workers", "0"], "must be at least 1"),
-        (["--data", "nowhere"], "nowhere"),
-    ],
-)
-def test_a_mistake_is_one_line_and_starts_nothing(
-    options: list[str],
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-):
-    monkeypatch.chdir(tmp_path)
-    assert says in refused(concord(capsys, "compare", *options, "-o", "out"))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

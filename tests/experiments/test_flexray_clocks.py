@@ -1,4 +1,4 @@
-"""`concord flexray clocks`: figures, sentences, pictures, and refusals."""
+"""`concord flexray clocks`: figures, sentences and pictures."""
 
 from pathlib import Path
 
@@ -64,24 +64,3 @@ def test_the_picture_is_written(tmp_path: Path, capsys):
     picture = tmp_path / "precision.png"
     assert concord(capsys, *CLOCKS, "audi", "--cycles", "50", "--out", picture).code == 0
     assert picture.stat().st_size > 5000
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--nodes", "1"), "--nodes is 1, but must be from 2 to 2047"),
-        (("--cycles", "0"), "--cycles is 0, but must be from 1"),
-        (("--power-on-cycles", "nan"), "--power-on-cycles is nan"),
-        (("--drift", "1,2"), "--drift has 2 numbers, but there are 20 nodes"),
-        (("--drift", "fast"), "--drift is 'fast', but must be one number"),
-        (("--drift", "nan"), "clocks deviate by -10000 to 10000 millionths"),
-        (("--liars", "15"), "audi' has 15 sync nodes; choose from 0 to 14"),
-        (("--out", "clocks.txt"), "a picture ends in .png, .svg, .pdf"),
-        (("--out", "nowhere/clocks.png"), "no such folder nowhere"),
-        (("--seed", "-1"), "--seed is -1, but must be 0 or more"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_a_sentence(
-    words: tuple[str, ...], sentence: str, capsys
-):
-    assert sentence in refused(concord(capsys, *CLOCKS, "audi", *words))

@@ -124,19 +124,6 @@ def test_cycles_longer_than_the_step_are_said_to_be(capsys):
     assert stretched["shown"]["fits_time"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--bus", "ideal"), "without time"),
-        (("--cluster", "/nowhere/c.toml"), "No such file"),
-        (("--schedule", "full", "--occupancy", "0.5"), "belongs to --schedule round-robin"),
-    ],
-)
-@pytest.mark.parametrize("command", ["plan", "show"])
-def test_mistakes_are_one_sentence(command: str, arguments, says: str, capsys):
-    assert says in refused(concord(capsys, "flexray", command, *arguments))
-
-
 def test_a_cluster_too_small_for_one_share_is_refused(tmp_path, capsys):
     path = tmp_path / "small.toml"
     path.write_text(cluster_to_toml(SMALL))

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from tests.experiments.flexray_support import concord, refused
+from tests.experiments.flexray_support import concord
 from tests.processes import PROC, family
 
 pytest.importorskip("cryptography")
@@ -79,21 +79,6 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     assert ("unlisted name", "joins, publishes share/0") in broken
     assert ("number of no node", "joins, publishes share/0") in broken
     assert not {who for who, _ in broken} & {"expired certificate", "no TLS", "false router"}
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ((), "--nodes is missing"),
-        (("--check",), "no authority there"),
-        (("--nodes", "2", "--hosts", "a/b"), "neither a host name"),
-    ],
-)
-def test_mistakes_are_one_line_and_leave_nothing(
-    tmp_path: Path, words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
-):
-    assert says in refused(concord(capsys, "keys", tmp_path / "keys", *words))
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_files_are_listed_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -18,7 +18,6 @@ from concord.experiments.sweep.store import folder_of
 from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
 from concord.plants.vehicle.drive_log import write_drive
-from tests.experiments.flexray_support import concord, refused
 from tests.experiments.identification.simulated_log import TRUE, simulated_log
 
 pytestmark = pytest.mark.slow
@@ -131,22 +130,6 @@ def test_what_a_piece_follows_from_is_in_its_name():
     ]
     assert name not in {pieces_module.digest_of(*other) for other in others}
     assert name == pieces_module.digest_of(piece._replace(cell=7), {"./unused.py:X": "1"}, by)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--shard", "0/3"], "must be NUMBER/SHARDS"),
-        (["--shard", "4/3"], "must be NUMBER/SHARDS"),
-        (["--shard", "1/3", "--pieces", "kept"], "leave --pieces out"),
-        (["--keep", "moments", "--interval", "bootstrap"], "use --interval t or --keep figures"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(
-    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    assert says in refused(concord(capsys, "sweep", *options, "-o", tmp_path / "s.nc"))
-    assert not list(tmp_path.iterdir())
 
 
 def test_pieces_of_a_log_are_those_of_its_content(tmp_path: Path):

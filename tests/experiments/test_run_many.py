@@ -18,7 +18,7 @@ from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
-from tests.experiments.flexray_support import Said, concord, refused
+from tests.experiments.flexray_support import Said, concord
 from tests.experiments.support import small
 
 RUNS = range(2, 5)
@@ -115,22 +115,6 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
     setup = small(steps=9, run=2)
     kept: Histories = simulate(setup, range(2, 5))
     np.testing.assert_array_equal(ages, kept.ages)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--runs", "3"], "--runs 3 with --driver in-process"),
-        (["--runs", "0", "--driver", "batched"], "--runs 0: must be at least 1"),
-        (["--covariances"], "--covariances with --driver in-process"),
-        (["--port", "7000", "--driver", "batched"], "--port 7000 with --driver batched"),
-    ],
-)
-def test_options_of_another_driver_are_refused(
-    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    assert says in refused(run(capsys, *options, "--out", tmp_path / "x"))
-    assert not (tmp_path / "x").exists()
 
 
 def test_an_interrupted_monte_carlo_leaves_nothing(

@@ -1,4 +1,4 @@
-"""`concord sweep` end to end: the file, going on, refusals, the same from any number of workers."""
+"""`concord sweep` end to end: the file, going on, the same from any number of workers."""
 
 import json
 import shutil
@@ -17,7 +17,6 @@ from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.store import folder_of
 from concord.experiments.sweep.summary import figures_of
 from concord.experiments.sweep.workers import in_this_process
-from tests.experiments.flexray_support import concord, refused
 from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow
@@ -192,22 +191,6 @@ def test_the_command_prints_figures_for_machines(result: Path, capsys: pytest.Ca
     value, low, high = first["to_centralised"]
     assert low < value < high
     assert first["published"][0] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--graph", "ring,rnig"], "cell graph=rnig (2 of 2)"),
-        (["--rule", "ci", "--occupancy", "0,1"], "(0, 1]"),
-        (["--latin-hypercube", "5"], "nothing is swept"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(
-    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    out = tmp_path / "s.nc"
-    assert says in refused(concord(capsys, "sweep", *options, "-o", out))
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Path):

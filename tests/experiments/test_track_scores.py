@@ -22,7 +22,7 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.definitions.swarm_tracking import plant_of
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.streams import generator
-from tests.experiments.flexray_support import concord, refused
+from tests.experiments.flexray_support import concord
 from tests.experiments.support import scenario
 from tests.filters.tracking.position_sensor import settings, tracks_at
 from tests.pages import blocks, commands
@@ -34,33 +34,6 @@ SWARM = ("run", "--scenario", "target-swarm")
 
 def figures(capsys: pytest.CaptureFixture[str], folder: Path, *words: str) -> dict:
     return json.loads(concord(capsys, "run", *SMALL, *words, "-o", str(folder), "--json").out)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("--detection", "1"), "--detection 1.0: must be in (0.001, 1); choose for example 0.9"),
-        (("--detection", "0"), "--detection 0.0: must be in (0.001, 1); choose for example 0.9"),
-        (("--clutter", "-1"), "--clutter -1.0: must be in [0, 200]; choose for example 5"),
-        (("--clutter", "201"), "--clutter 201.0: must be in [0, 200]; choose for example 5"),
-        (("--targets", "100000"), "--targets 100000: must be 1 to 200"),
-        (("--targets", "0"), "--targets 0: must be 1 to 200"),
-        (("--merge-m", "-1"), "--merge-m -1.0: must be 0 or more"),
-        (("--association", "nearst"), "nearst"),
-        (("--payload-bytes", "16", "--loss", "0.1"), "raise --payload-bytes"),
-        (("--rule", "hcmci"), "--rule hcmci: must be labelled"),
-        (("--rule", "track-ci", "--filter", "imm"), "a share carries one belief a track"),
-        (("--filter", "ekf"), "--filter ekf: must be ukf or imm"),
-        (("--withhold-below", "0.1"), "--withhold-below 0.1: must be 0: a record is a scan"),
-        (("--record-number", "float32"), "--record-number float32: must be int16"),
-        (("--changes", "5 set rounds=2"), "target-swarm has one rule and schedule of its own"),
-        (("--nodes", "2", "--placement", "-1"), "placement -1: must be 0 or more"),
-    ],
-)
-def test_bad_input_is_refused(
-    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
-):
-    assert says in refused(concord(capsys, *SWARM, *words))
 
 
 def test_nodes_with_all_scans_are_as_good_as_the_centre_but_for_rounding(

@@ -1,4 +1,4 @@
-"""`concord flexray design-turns`: ages of readings, refusals, the bound beside simulated error."""
+"""`concord flexray design-turns`: ages of readings, and the bound beside simulated error."""
 
 from math import sqrt
 from pathlib import Path
@@ -19,7 +19,7 @@ from concord.experiments.flexray.turn_designs import (
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.filters.aged_readings import aged_cov, steady_cov
 from concord.scenarios.preparation import prepare
-from tests.experiments.flexray_support import concord, refused
+from tests.experiments.flexray_support import concord
 from tests.experiments.support import scenario
 
 NETWORK = ("--nodes", 4, "--graph", "complete", "--rule", "labelled")
@@ -81,25 +81,3 @@ def test_the_bound_is_the_error_of_labelled_readings(
     of_run = errors.mean(axis=(1, 2)) / steady[0, 0]
     spread = of_run.std(ddof=1) / sqrt(len(of_run))
     assert abs(of_run.mean() - answer.bound**2) < 4 * spread < 0.4
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ((*OSCILLATOR, "--shares", 1), "--cluster fitted: turns are static slots"),
-        ((*OSCILLATOR, "--shares", 99, "--cluster", "audi"), "use at most --shares"),
-        ((*OSCILLATOR, "--shares", 1, "--longest", 3, "--cluster", "audi"), "use 1, 2, 4"),
-        (
-            (*OSCILLATOR, "--shares", 1, "--longest", 2, "--cluster", "audi"),
-            "allow more slots or longer turns",
-        ),
-        (
-            ("--scenario", "target-tracking", *NETWORK, "--shares", 4, "--cluster", "audi"),
-            "not linear",
-        ),
-    ],
-)
-def test_what_has_no_bound_is_refused(
-    words: tuple[object, ...], said: str, capsys: pytest.CaptureFixture[str]
-):
-    assert said in refused(concord(capsys, "flexray", "design-turns", *words))
