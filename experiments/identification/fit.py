@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from concord.experiments.identification.likelihood import Likelihood, likelihood, widths_of
+from concord.experiments.identification.likelihood import (
+    Likelihood,
+    likelihood,
+    values_at,
+    widths_of,
+)
 from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
 from concord.experiments.identification.slip_claim import SlipClaim, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
@@ -128,6 +133,22 @@ def fit(
         heard.reference_rad,
         claim,
     )
+
+
+def likeliest(
+    channels: Mapping[str, ChannelReadings],
+    cars: Sequence[Car],
+    tyre: Tyre,
+    time_step_s: float,
+    min_speed_m_s: float,
+) -> Car:
+    """The car with which the readings of a log are likeliest; other arguments as in `fit`."""
+
+    def value(car: Car) -> float:
+        log = logged_readings(channels, car, time_step_s, min_speed_m_s)
+        return float(np.nan_to_num(values_at(log, tyre, (), np.zeros((1, 0)))[0], nan=np.inf))
+
+    return min(cars, key=value)
 
 
 def _read_apart(tried: tuple[Sought, ...], read: Car, file: Car) -> np.ndarray:

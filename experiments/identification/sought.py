@@ -125,6 +125,9 @@ def sought_of(
     if "wheel_speed" in sensors and {"ground_speed", "position"} & set(sensors):
         path = ("sensors", "wheel_speed_scale")
         found.append(Sought("scale of wheel speed", "", path, _SCALE, True))
+    if "lateral_acceleration" in sensors:
+        path = ("sensors", "lateral_acceleration_scale")
+        found.append(Sought("scale of lateral acceleration", "", path, _SCALE, True))
     for sensor in sensors:
         name, path, unit = sensor.replace("_", " "), ("sensors", sensor), _UNITS[sensor]
         found.append(Sought(f"noise of {name}", unit, (*path, "noise"), _NOISE, True))

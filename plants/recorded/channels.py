@@ -62,8 +62,8 @@ def channel_of(stamps_s: np.ndarray, values: np.ndarray) -> ChannelReadings:
     repeated = np.flatnonzero(np.diff(stamps_s) == 0)
     if len(repeated):
         raise ValueError(
-            f"two readings have the time {stamps_s[repeated[0]]:.9g} s, but a reading counts once; "
-            "drop repeated lines"
+            f"two readings have the time {stamps_s[repeated[0]]:.15g} s, but a reading counts "
+            "once; drop repeated lines"
         )
     return ChannelReadings(stamps_s, values)
 

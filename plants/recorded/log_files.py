@@ -86,7 +86,7 @@ def _number(line: int, row: list[str], place: int) -> float:
     except (IndexError, ValueError):
         raise ValueError(
             f"line {line}: field {place + 1} of {','.join(row)[:60]!r} is not a number; "
-            "repair or remove the line"
+            "write one (of stamps: of seconds), or leave the field empty"
         ) from None
 
 

@@ -22,6 +22,7 @@ from concord.plants.recorded.channels import (
 from concord.plants.recorded.columns import Column, LogMap, map_from_toml, read_channels
 from concord.plants.recorded.log_files import text_of
 from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive_check import require_one_drive
 from concord.plants.vehicle.local_plane import east_north
 from concord.plants.vehicle.parameters import Car, car_from_toml, car_to_toml
 
@@ -128,6 +129,10 @@ def read_log(folder: str | Path) -> LoggedChannels:
                 f"{folder}: {name} has fewer than two readings, but a drive needs at least two; "
                 f"look at its column in {COLUMNS}"
             )
+    try:
+        require_one_drive(channels)
+    except ValueError as error:
+        raise ValueError(f"{folder / COLUMNS}: {error}") from None
     return LoggedChannels(channels, car)
 
 

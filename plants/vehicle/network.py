@@ -159,7 +159,8 @@ def sensor(node: int, single_track: SingleTrack, positioned: bool = False) -> Ca
         ahead, yaw_rate = sheets.accelerometer_ahead_m, state[..., YAW_RATE]
         lateral, turning = single_track.accelerations(state, state[..., STEERING:])
         forward = state[..., ACCELERATION] - ahead * yaw_rate**2
-        return np.stack([yaw_rate, lateral + ahead * turning, forward], axis=-1)
+        across = sheets.lateral_acceleration_scale * (lateral + ahead * turning)
+        return np.stack([yaw_rate, across, forward], axis=-1)
 
     def steering(state: np.ndarray) -> np.ndarray:
         return state[..., STEERING : STEERING + 1].copy()

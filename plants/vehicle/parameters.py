@@ -84,6 +84,8 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             for satellites.
         wheel_speed_scale: a logged wheel speed over the true one. It is the radius that the log
             was written with over the effective radius of the tyre.
+        lateral_acceleration_scale: a logged lateral acceleration over the true one. A body that
+            rolls in curves turns its accelerometer towards gravity: 1.05 for 3 degrees a g.
     """
 
     wheel_speed: SensorSheet = SensorSheet(noise=0.1)
@@ -99,6 +101,7 @@ class SensorSheets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     slip_sensor_ahead_m: float = 0.0
     antenna_ahead_m: float = 0.0
     wheel_speed_scale: float = 1.0
+    lateral_acceleration_scale: float = 1.0
 
     def __post_init__(self) -> None:
         _require_positive("sensors", self, signed=_PLACES)

@@ -131,12 +131,28 @@ UNDER = Interval(0.5, 0.4, 0.6)
 OVER = Interval(2.9, 2.3, 3.7)
 
 
+def test_a_reading_in_another_unit_is_no_fault_of_the_car():
+    """The verdict on a yaw rate in deg/s, read as rad/s, asked for a process noise of 0.9."""
+    wild = OFF._replace(nis=Interval(2000.0, 1900.0, 2100.0), spread=2000.0)
+    of_readings = Diagnosis(Cause.NOISE_TOO_SMALL, YAW, wild)
+    given = scenario("vehicle-network"), of_readings, FITTING, UNKNOWN, UNKNOWN
+    sentence = innovation_verdict(*given, named="of single values of car.toml, Q explains most")
+    assert "look at units, signs and stamps in columns.toml before car.toml" in sentence
+    assert "explains most" not in sentence
+
+
 def test_errors_lead_where_innovations_are_small():
     """A verdict said "underconfident" of a car whose side slip had an ANEES of 2.9."""
     of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
     for found, slip, errors in (
         (OVER, None, "ANEES is 2.9 where 1 is right"),
-        (UNKNOWN, SlipEvidence(OVER, False), "the side slip errs by more than the filter"),
+        (
+            UNKNOWN,
+            SlipEvidence(OVER, False, (14.0, 3.2, 4.6)),
+            "the side slip errs by more than the filter that hears everything claims (ANEES 2.9 "
+            "where 1 is right, by what yaw rate and lateral acceleration add up to; most from 3.2 "
+            "to 4.6 s of the run: 14)",
+        ),
     ):
         sentence = innovation_verdict(
             scenario("vehicle-network"), of_readings, FITTING, found, found, slip=slip

@@ -219,3 +219,34 @@ def test_stamps_in_ns_and_speeds_in_knots_are_read(tmp_path: Path):
     drive = read_folder(folder).drive
     assert drive.time_step_s == pytest.approx(0.01, rel=1e-4)
     np.testing.assert_allclose(drive.speed_m_s, 18.52)
+
+
+def driven(folder: Path, **changes: str) -> Path:
+    """A drive through curves, with the map changed."""
+    turns = 10 * np.sin(0.1 * np.arange(100))
+    folder = log(
+        folder, "".join(f"{10 * k},{-y},{y},36,36,{y / 50},\n" for k, y in enumerate(turns))
+    )
+    text = MAP.replace(", offset = 0.5", "")
+    for name, change in changes.items():
+        head, line, tail = text.partition(f"\n{name} = {{")
+        assert line, name
+        text = head + line + tail.replace(" }", f", {change} }}", 1)
+    (folder / "columns.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"rear_left_wheel": "delay_s = 50.0"}, "rear_left_wheel was read from -50 to -49.01 s"),
+        ({"time": "scale = 1000"}, "steering has a reading every 10 s"),
+        ({"steering_wheel": "scale = -1"}, "yaw_rate and steering point to opposite sides"),
+        ({"lateral_acceleration": "scale = -1"}, "yaw_rate and lateral_acceleration point to"),
+    ],
+)
+def test_units_and_signs_that_no_drive_has_are_refused(tmp_path: Path, changes, says: str):
+    """A clock of its own took all memory; a sign was taken for side slip."""
+    assert len(read_log(driven(tmp_path)).channels["yaw_rate"].values) == 100
+    with pytest.raises(ValueError, match=f"columns.toml: {says}"):
+        read_log(driven(tmp_path, **changes))

@@ -20,6 +20,8 @@ ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
 """Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but
 `FALSE_ALARMS` of the runs that are consistent."""
 
+_ABSURD = 100.0
+"""NIS of a logged channel that no noise explains."""
 _ALL_ALIKE = {
     Cause.ALL_NOISE_TOO_SMALL: (
         "{figures}, and other sensors are alike; their noise is larger than the filter's R: raise R"
@@ -104,6 +106,8 @@ def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[
     test = diagnosis.test
     lead = _lead(diagnosis.cause, test)
     figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
+    if named and test.nis.value > _ABSURD:
+        return lead, f"{figures}; look at units, signs and stamps in columns.toml before car.toml"
     if named:
         return lead, f"{figures}; {named}"
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(

@@ -14,7 +14,7 @@ from concord.experiments.identification.slip_reference import SlipReference, sli
 from concord.experiments.identification.sought import SEEN
 from concord.experiments.identification.without_slip import is_logged
 from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.results.run_verdict import anees_interval, beyond
+from concord.experiments.results.run_verdict import BATCHES, anees_interval, beyond
 from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.corrections import corrected, steps_over, with_true_wheels
@@ -33,19 +33,26 @@ _ERRS = {"overconfident": "by more than", "underconfident": "by less than", "": 
 
 class SlipEvidence(NamedTuple):
     """ANEES of the side slip of the filter that hears everything, beside the logged side slip, or
-    beside a reference; NaN where the drive does not tell it."""
+    beside a reference; NaN where the drive does not tell it.
+
+    `worst` is the largest ANEES of a tenth of the run, with its start and end in s.
+    """
 
     anees: Interval
     logged: bool
+    worst: tuple[float, float, float] = (np.nan, np.nan, np.nan)
 
     def in_words(self) -> str:
         """ "the side slip errs by more than ... claims (ANEES 2.9 where 1 is right, by ...)" """
         if np.isnan(self.anees.low):
             return "this drive does not tell how far the side slip errs"
         by = "the logged one" if self.logged else "what yaw rate and lateral acceleration add up to"
+        beyond_claim, (most, start_s, end_s) = beyond(self.anees), self.worst
+        where = f"; most from {start_s:.3g} to {end_s:.3g} s of the run: {most:.3g}"
         return (
-            f"the side slip errs {_ERRS[beyond(self.anees)]} the filter that hears everything "
-            f"claims (ANEES {self.anees.value:.3g} where 1 is right, by {by})"
+            f"the side slip errs {_ERRS[beyond_claim]} the filter that hears everything claims "
+            f"(ANEES {self.anees.value:.3g} where 1 is right, by {by}"
+            f"{where if beyond_claim == 'overconfident' and np.isfinite(most) else ''})"
         )
 
 
@@ -74,8 +81,19 @@ def slip_evidence(
         if reference is None or reference.told > SEEN:
             return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
         squares = _squares(belief, reference, times_s)
-    found = anees_interval(np.where(counted, squares, np.nan), confidence)
-    return SlipEvidence(found, logged)
+    squares = np.where(counted, squares, np.nan)
+    found = anees_interval(squares, confidence)
+    return SlipEvidence(found, logged, _worst(squares, setup.time_step_s))
+
+
+def _worst(squares: np.ndarray, time_step_s: float) -> tuple[float, float, float]:
+    """The batch of `anees_interval` that errs most: its mean, and its ends in s."""
+    known = np.flatnonzero(np.isfinite(squares))
+    if len(known) < BATCHES:
+        return np.nan, np.nan, np.nan
+    batches = np.array_split(known, BATCHES)
+    worst = max(batches, key=lambda batch: squares[batch].mean())
+    return float(squares[worst].mean()), time_step_s * worst[0], time_step_s * worst[-1]
 
 
 def cut(

@@ -32,6 +32,7 @@ TRUE = replace(
         side_slip=SensorSheet(noise=0.002, offset=0.004, delay_s=0.015),
         accelerometer_ahead_m=0.45,
         slip_sensor_ahead_m=0.74,
+        lateral_acceleration_scale=1.05,
     ),
 )
 
@@ -107,7 +108,8 @@ def _lateral(x: np.ndarray, car: Car) -> np.ndarray:
     front = front * np.cos(x[:, 4])
     turning = (car.front_axle_m * front - car.rear_axle_m * rear) / car.yaw_inertia_kg_m2
     turning += _turned_by_gusts(car) * x[:, 6]
-    return (front + rear) / car.mass_kg + x[:, 6] + car.sensors.accelerometer_ahead_m * turning
+    lateral = (front + rear) / car.mass_kg + x[:, 6] + car.sensors.accelerometer_ahead_m * turning
+    return car.sensors.lateral_acceleration_scale * lateral
 
 
 def _wheels(x: np.ndarray, car: Car) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A log with one known error in the car's file: the verdict names it, and `identify` finds it.
 
-Five logs of 8 s of the model itself. Each file has the truth but for one value.
+Logs of 8 s of the model itself. Each file has the truth but for one value.
 """
 
 import dataclasses
@@ -61,6 +61,11 @@ CAUSES = {
         replace(TRUE, sensors=replace(SENSORS, accelerometer_ahead_m=-0.55)),
         "accelerometer ahead of the centre",
         0.45,
+    ),
+    "roll": Planted(
+        replace(TRUE, sensors=replace(SENSORS, lateral_acceleration_scale=1.0)),
+        "scale of lateral acceleration",
+        1.05,
     ),
 }
 

@@ -15,7 +15,7 @@ from tests.experiments.identification.simulated_log import TRUE, simulated_log
 def test_scores_at_the_truth_are_as_large_as_their_scatter_says():
     """An interval holds the truth where the score there is within its own interval about 0.
 
-    Ten logs, 24 values each.
+    Ten logs, 25 values each.
     """
     held = []
     for seed in range(2001, 2011):
