@@ -97,9 +97,9 @@ def test_a_stamp_of_a_ulog_message_may_be_another_field(tmp_path: Path):
     columns = (folder / "columns.toml").read_text()
     named = columns.replace(
         '"steering.value[0]",',
-        '"steering.value[0]", time = { column = "steering.timestamp", unit = "ms" },',
+        '"steering.value[0]", time = { column = "steering.timestamp", unit = "us", offset = 0.1 },',
     )
     assert named != columns
     expected = read_log(folder).channels["steering"].stamps_s
     (folder / "columns.toml").write_text(named)
-    np.testing.assert_allclose(read_log(folder).channels["steering"].stamps_s, 1e3 * expected)
+    np.testing.assert_allclose(read_log(folder).channels["steering"].stamps_s, 0.1 + expected)
