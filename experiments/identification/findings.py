@@ -1,4 +1,4 @@
-"""What `concord identify` found: figures for JSON, a table, and sentences."""
+"""Findings of `concord identify`: figures for JSON, a table, and sentences."""
 
 from collections.abc import Iterator
 

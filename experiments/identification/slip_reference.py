@@ -184,7 +184,7 @@ class _Driven(NamedTuple):
 
     @property
     def rows(self) -> np.ndarray:
-        """What the level is of the states (steps, 4): roll that lags adds up to a lateral speed."""
+        """Rows (steps, 4) that map a state to its level: the lag of the roll adds lateral speed."""
         one, lag = np.ones_like(self.rear), _ROLL_LAG_S * self.lateral
         return np.stack([one, 0 * one, lag, -self.rear], axis=-1)
 
