@@ -29,6 +29,7 @@ HIDDEN = (
 STEADY = (
     *HIDDEN,
     *(("sensors", name, "offset") for name in _TURNING),
+    ("sensors", "lateral_acceleration_scale"),
     _SLIP_LATE,
 )
 """These take errors of the tyres as well, where a drive is a row of steady states. A delay is an

@@ -132,8 +132,8 @@ def test_what_no_reading_tells_is_left_to_the_file():
     steady = {one.name for one in every} - {one.name for one in as_heard(with_slip, untold).sought}
     turning = ("yaw rate", "lateral acceleration", "steering", "side slip")
     offsets = {f"offset of {name}" for name in turning}
-    late = "delay of side slip"
-    assert steady == left | offsets | {"slip sensor ahead of the centre", late}
+    more = {"scale of lateral acceleration", "delay of side slip"}
+    assert steady == left | offsets | more | {"slip sensor ahead of the centre"}
     assert as_heard(with_slip, untold._replace(told=0.1)) is with_slip
 
 
