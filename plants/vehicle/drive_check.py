@@ -41,12 +41,13 @@ def _require_one_clock(channels: Mapping[str, ChannelReadings]) -> None:
 def _require_one_side(channels: Mapping[str, ChannelReadings]) -> None:
     """Refuse a car that turns away from where it is steered, or accelerates away from its turn."""
     turning = channels["yaw_rate"]
+    turned = turning.values - turning.values.mean()  # an offset points to no side
     for name in ("steering", "lateral_acceleration"):
         if len(channels.get(name, turning).values) < _JUDGED_READINGS or name not in channels:
             continue
         other = np.interp(turning.stamps_s, *channels[name])
-        turned = float(turning.values @ other)
-        alike = turned / np.sqrt((turning.values @ turning.values) * (other @ other) or 1.0)
+        other -= other.mean()
+        alike = float(turned @ other) / np.sqrt((turned @ turned) * (other @ other) or 1.0)
         if alike < -_ALIKE:
             raise ValueError(
                 f"yaw_rate and {name} point to opposite sides (correlation "

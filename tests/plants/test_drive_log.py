@@ -250,3 +250,9 @@ def test_units_and_signs_that_no_drive_has_are_refused(tmp_path: Path, changes, 
     assert len(read_log(driven(tmp_path)).channels["yaw_rate"].values) == 100
     with pytest.raises(ValueError, match=f"columns.toml: {says}"):
         read_log(driven(tmp_path, **changes))
+
+
+def test_a_straight_drive_with_offsets_of_either_sign_is_read(tmp_path: Path):
+    noise = 0.01 * np.random.default_rng(1).standard_normal((100, 2))
+    rows = [f"{10 * k},{-0.3 + y},{-2.0 + d},36,36,0,\n" for k, (y, d) in enumerate(noise)]
+    assert len(read_log(log(tmp_path, "".join(rows))).channels["steering"].values) == 100
