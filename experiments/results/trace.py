@@ -114,21 +114,17 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
             case Timing():
                 timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
-    # Only in real time does anybody go on without what was lost.
+    # Only in real time does anybody go on without what was lost, the truth of a step included.
     newest = max((step for step, _ in estimates), default=-1)
     if timed:
         history = with_holes(history, estimates.keys() & measured.keys(), nodes, newest + 1)
     steps = 0
     # Also where all nodes are out in the last steps.
-    while (
-        steps in truths
-        and (steps <= newest or not timed)
-        and all(
-            (steps, node) in kept
-            for kept in (measured, estimates)
-            for node in range(nodes)
-            if history.is_in(node, steps)
-        )
+    while (steps <= newest if timed else steps in truths) and all(
+        (steps, node) in kept
+        for kept in (measured, estimates)
+        for node in range(nodes)
+        if history.is_in(node, steps)
     ):
         steps += 1
     return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes)
@@ -178,8 +174,9 @@ def _assemble(
     if any(u is not None for u in controls):
         size = max(len(u) for u in controls if u is not None)
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
-    truth = np.array([from_wire(truths[k].state) for k in range(steps)])
-    truth = truth.reshape(steps, len(setup.initial_state))
+    truth = np.full((steps, len(setup.initial_state)), np.nan)
+    for k in truths.keys() & range(steps):
+        truth[k] = from_wire(truths[k].state)
     there = {key: one.tracks for key, one in estimates.items() if history.is_in(key[1], key[0])}
     tracks = tracks_trace(setup, truth, there)
     lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]

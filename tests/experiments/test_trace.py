@@ -116,6 +116,20 @@ def test_in_real_time_a_node_that_falls_behind_cuts_off_no_step_of_the_others():
     assert read_trace(SETUPS["full"], late).steps == 2
 
 
+def test_in_real_time_steps_that_the_environment_missed_have_no_truth():
+    """It stood still for two steps: the nodes went on, and its run did too."""
+    kept = [one for one in MESSAGES["full"] if not _is_of_step(*one, ("truth", "measured"), (2, 3))]
+    timing = ("timing/0", encode(Timing(0, 0, 0.0, [0.0], 0, 0)))
+    trace = read_trace(SETUPS["full"], [*kept, timing])
+    assert trace.steps == 5
+    assert np.isnan(trace.truth).all(axis=1).tolist() == [False, False, True, True, False]
+    assert np.isnan(trace.mean).all(axis=(1, 2)).tolist() == [False, False, True, True, False]
+
+
+def _is_of_step(topic: str, data: bytes, kinds: tuple[str, ...], steps: tuple[int, ...]) -> bool:
+    return topic.partition("/")[0] in kinds and decode(topic, data).step in steps
+
+
 def _is_of_last_step(topic: str, data: bytes) -> bool:
     return topic.startswith("estimate/") and decode(topic, data).step >= 4
 
