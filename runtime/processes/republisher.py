@@ -10,9 +10,11 @@ process is further behind than `EARLY_STEPS`. A receiver takes the messages that
 
 No process waits for the recorder, so the network would go on while the recorder loses messages.
 While its link is away publishers pause. When it is back, they first repeat their buffers below
-`keep/`.
+`keep/`. They do so once more a second later: a link that has just come back does not know yet who
+listens, and drops what is said on it.
 """
 
+import math
 import sys
 import threading
 import time
@@ -110,8 +112,10 @@ class Republisher:
     def _look(self) -> None:
         """In a thread of its own."""
         latest, since, pause_s, told = None, time.monotonic(), _AGAIN_S, 0
+        # When the recorder is told once more.
+        once_more_s = math.inf
         while True:
-            self._ring.wait(pause_s)
+            self._ring.wait(min(pause_s, max(once_more_s - time.monotonic(), 0.0)))
             if self._closed:
                 return
             self._ring.clear()
@@ -119,6 +123,10 @@ class Republisher:
                 back, self._back = self._back, set()
             if RECORDER in back:
                 self._tell_recorder()
+                once_more_s = time.monotonic() + _AGAIN_S
+            elif time.monotonic() >= once_more_s:
+                self._repeat(f"{KEEP}/", list(self._copy()))
+                once_more_s = math.inf
             self._forget(time.monotonic())
             before, latest = latest, (self._kept[-1] if self._kept else None)
             if latest is not before:

@@ -68,6 +68,29 @@ def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
     assert not speaker.see(ENVIRONMENT, True)
 
 
+def test_a_link_that_has_just_come_back_may_drop_what_is_said_on_it(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """The recording of a network had nodes that joined, and none that had gone."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.05)
+    heard = list[tuple[str, bytes]]()
+    knows_who_listens = threading.Event()
+
+    class Deaf(Standing):
+        def send(self, topic: str, data: bytes) -> None:
+            if knows_who_listens.is_set():
+                heard.append((topic, data))
+
+    speaker = of_environment(Deaf())
+    speaker.begin()
+    speaker.see(RECORDER, False)
+    speaker.see(RECORDER, True)
+    speaker.say("event", b"gone")
+    knows_who_listens.set()
+    assert holds_within(30, lambda: ("keep/event", b"gone") in heard)
+    speaker.close()
+
+
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
     transport = Standing()
     transport.may.set()
