@@ -177,6 +177,15 @@ def test_kills_that_leave_one_sync_node_run_message_by_message():
     )
 
 
+def test_a_rule_that_is_set_back_has_the_options_of_the_original_scenario():
+    """Frames of CAN FD carry 64 bytes: a share of 60 takes one, and the usual share several."""
+    asked = scenario(
+        "oscillator", nodes=4, steps=8, rule="labelled", bus="can-fd", payload_bytes=60,
+        changes=("2 set rule=ci", "4 set rule=labelled"),
+    )  # fmt: skip
+    check_agreement(asked)
+
+
 EVENTFUL = (
     "0 kill 4", "2 kill 3", "2 cut 0 1", "3 loss 0.3", "4 restart 3", "5 kill 1",
     "5 cut 2 0 one-way", "6 heal 0 1", "6 restart 4", "7 restart 1", "8 loss 0.5 0 5", "9 kill 2",

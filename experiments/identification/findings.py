@@ -205,9 +205,9 @@ def _of_side_slip(f: Findings) -> Iterator[str]:
         yield (
             "No side slip is logged. The fit took the one to which yaw rate and lateral "
             f"acceleration add up, within {1e3 * f.side_slip_reference_rad:.2g} mrad. Only "
-            f"this side slip tells: {', '.join(f.told_by_reference)}. Their intervals assume a "
-            "rigid body, with the accelerometer within 0.2 m of its place in the file; elsewhere "
-            "they miss."
+            f"this side slip tells: {', '.join(f.told_by_reference)}. Their intervals assume that "
+            "the body rolls 0 to 0.16 s after the acceleration, and an accelerometer within 0.2 m "
+            "of its place in the file; elsewhere they miss."
         )
     if f.side_slip_anees is None:
         yield (

@@ -114,17 +114,20 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
             case Timing():
                 timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
-    # Only in real time does anybody go on without what was lost, the truth of a step included.
-    newest = max((step for step, _ in estimates), default=-1)
-    if timed:
-        history = with_holes(history, estimates.keys() & measured.keys(), nodes, newest + 1)
     steps = 0
+    if timed:
+        # Only in real time does anybody go on without what was lost, the truth of a step included.
+        steps = 1 + max((step for step, _ in estimates), default=-1)
+        history = with_holes(history, estimates.keys() & measured.keys(), nodes, steps)
     # Also where all nodes are out in the last steps.
-    while (steps <= newest if timed else steps in truths) and all(
-        (steps, node) in kept
-        for kept in (measured, estimates)
-        for node in range(nodes)
-        if history.is_in(node, steps)
+    while not timed and (
+        steps in truths
+        and all(
+            (steps, node) in kept
+            for kept in (measured, estimates)
+            for node in range(nodes)
+            if history.is_in(node, steps)
+        )
     ):
         steps += 1
     return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes)

@@ -34,7 +34,7 @@ def _require_one_clock(channels: Mapping[str, ChannelReadings]) -> None:
     if channels["steering"].spacing_s > _LONGEST_SPACING_S:
         raise ValueError(
             f"steering has a reading every {channels['steering'].spacing_s:.3g} s, but a "
-            f"car is steered within tenths; correct the unit of its time"
+            "car is steered within tenths; correct the unit of its time"
         )
 
 
@@ -43,7 +43,7 @@ def _require_one_side(channels: Mapping[str, ChannelReadings]) -> None:
     turning = channels["yaw_rate"]
     turned = turning.values - turning.values.mean()  # an offset points to no side
     for name in ("steering", "lateral_acceleration"):
-        if len(channels.get(name, turning).values) < _JUDGED_READINGS or name not in channels:
+        if name not in channels or len(channels[name].values) < _JUDGED_READINGS:
             continue
         other = np.interp(turning.stamps_s, *channels[name])
         other -= other.mean()
