@@ -39,14 +39,15 @@ MATCHED = (*LINEAR, "target-tracking", "target-crossing")
 
 def promises(scenario: Scenario, rules: tuple[str, ...]) -> bool:
     """Whether only such rules are used in a run, and no share is taken for one of another step."""
-    used: list[dict[str, Any]] = [flat(scenario)]
-    used += [
-        one.command.settings for one in script_of(scenario) if isinstance(one.command, Configure)
-    ]
     return all(
         settings.get("rule", rules[0]) in rules and settings.get("hold") != "raw"
-        for settings in used
+        for settings in _used(scenario)
     )
+
+
+def forgets_no_share(scenario: Scenario) -> bool:
+    """Return whether the last share of a neighbour that falls silent has full weight for good."""
+    return any(settings.get("hold") == "predict" for settings in _used(scenario))
 
 
 def sensors_are_honest(scenario: Scenario) -> bool:
@@ -81,6 +82,12 @@ def brings_back(setup: Setup) -> bool:
             return False
     few = all(len(liars & {*heard}) <= expected for heard in neighbours)
     return not liars or (few and promises(scenario, ("trimmed-ci",)))
+
+
+def _used(scenario: Scenario) -> list[dict[str, Any]]:
+    """Return the settings of the beginning, and those of each change."""
+    settings = (one.command for one in script_of(scenario))
+    return [flat(scenario), *(one.settings for one in settings if isinstance(one, Configure))]
 
 
 def _faults(scenario: Scenario) -> list[Inject]:

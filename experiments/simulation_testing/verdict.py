@@ -14,6 +14,7 @@ from concord.experiments.simulation_testing.promises import (
     MATCHED,
     RETURNING,
     brings_back,
+    forgets_no_share,
     nodes_are_honest,
     promises,
     sensors_are_honest,
@@ -48,6 +49,7 @@ class EstimateHistory(NamedTuple):
 
     The truth is (steps, n); the readings are (steps, N, r, d), NaN without a reading. The control
     is (steps, p) or None. `heard` (steps, N): the node used a share that was sent in the step.
+    `oldest` (steps, N): the age of the oldest share that the node kept, in steps; -1 for none.
     """
 
     setup: Setup
@@ -57,6 +59,7 @@ class EstimateHistory(NamedTuple):
     readings: np.ndarray
     control: np.ndarray | None
     heard: np.ndarray
+    oldest: np.ndarray
 
     def same_bits(self, other: "EstimateHistory") -> bool:
         """Return whether all estimates are equal, bit for bit."""
@@ -82,6 +85,8 @@ def history_of_run(setup: Setup, record: RunRecord) -> EstimateHistory:
     mean = np.full(shape, np.nan)
     cov = np.full((*shape, shape[-1]), np.nan)
     heard = np.zeros(shape[:-1], dtype=bool)
+    oldest = np.full(shape[:-1], -1)
+    rounds = record.history.rounds
     for step in range(scenario.steps):
         for node in range(scenario.nodes):
             said = record.estimates.get((step, node))
@@ -91,9 +96,10 @@ def history_of_run(setup: Setup, record: RunRecord) -> EstimateHistory:
             if said is not None:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
-                heard[step, node] = any(0 <= age < record.history.rounds for age in said.ages)
+                heard[step, node] = any(0 <= age < rounds for age in said.ages)
+                oldest[step, node] = max(said.ages, default=-1) // rounds
     truth = np.array([from_wire(record.truths[step].state) for step in range(scenario.steps)])
-    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, record), heard)
+    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, record), heard, oldest)
 
 
 def _told(scenario: Scenario, record: RunRecord) -> tuple[np.ndarray, np.ndarray | None]:
@@ -174,7 +180,7 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
     # A set that a false reading has parted from the truth has nothing to find it again.
     if not promises(scenario, RETURNING if honest else GAUSSIAN):
         return
-    if not brings_back(run.setup) or _is_rounding(calm, level):
+    if not brings_back(run.setup) or _is_rounding(calm, level) or _clings(run, calm, level):
         return
     if promises(scenario, CERTAIN):
         run, calm = _boxed(run), _boxed(calm)
@@ -192,6 +198,16 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
         raise Broken(
             "covariances come back", f"variances of a node are {np.exp(grown):.3g} times as large"
         )
+
+
+def _clings(run: EstimateHistory, calm: EstimateHistory, level: slice) -> bool:
+    """Whether a node averages in, for good, a share from before calm that no calm node has.
+
+    A neighbour that wins no slot among all nodes wins one while others are out. Policy `predict`
+    gives its last share full weight ever after, which costs what that share no longer knows.
+    """
+    clings = (run.oldest[level] >= SETTLING_STEPS) & (calm.oldest[level] < SETTLING_STEPS)
+    return forgets_no_share(run.setup.scenario) and bool(clings.any())
 
 
 def _boxed(run: EstimateHistory) -> EstimateHistory:

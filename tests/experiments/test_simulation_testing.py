@@ -24,6 +24,7 @@ from concord.nodes.faults.vocabulary import EVERY_FAULT
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
+from concord.scenarios.types.assignment import flat
 from tests.experiments.flexray_support import Said, concord
 from tests.experiments.planted_bugs import BUGS, Bug, first_found, likely_seeds, planted
 from tests.experiments.support import scenario
@@ -167,7 +168,9 @@ def test_a_network_that_believes_too_much_where_its_filter_does_not_is_found():
     setup = prepare(scenario("target-tracking", nodes=4, steps=12, stretch=100.0))
     trace = read_trace(setup, in_memory(setup))
     heard = np.ones(trace.mean.shape[:2], dtype=bool)
-    run = EstimateHistory(setup, trace.truth, trace.mean, trace.cov, trace.readings, None, heard)
+    run = EstimateHistory(
+        setup, trace.truth, trace.mean, trace.cov, trace.readings, None, heard, 0 * heard
+    )
     check_consistency(run)
     with pytest.raises(Broken, match="errors are as believed"):
         check_consistency(run._replace(cov=1e-3 * run.cov))
@@ -192,6 +195,17 @@ def test_a_node_that_hears_little_for_some_steps_is_no_loss_of_its_covariance():
 def test_a_node_that_hears_nothing_at_all_shows_nothing():
     """The last node of a path hears two shares in 37 steps without faults, and one with them."""
     assert run_case(draw_case(992736, {})).broken is None
+
+
+def test_a_share_that_is_predicted_at_full_weight_for_good_costs_its_weight():
+    """Node 5 wins a slot only while nodes 3 and 4 are out, and is heard of never again."""
+    fixed = {
+        "scenario": "oscillator", "weights": "metropolis", "wire": (),
+        "changes": ("1 kill 4", "2 kill 3", "10 restart 4", "10 restart 3", "10 calm"),
+    }  # fmt: skip
+    case = draw_case(995328, fixed)
+    assert flat(case.scenario)["hold"] == "predict"
+    assert run_case(case).broken is None
 
 
 def test_all_settings_together_apply_to_the_original_scenario():
