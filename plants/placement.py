@@ -83,7 +83,7 @@ def sites(word: str, nodes: int) -> NDArray[np.float64]:
     """
     if not word.startswith(SITES):
         raise ValueError(
-            f"placement {word!r}: is none; give the number of a drawing (0, 1, 2, ...), or "
+            f"placement {word!r}: is neither the number of a drawing (0, 1, 2, ...), nor "
             "file:PATH with a line x, y in m for each node"
         )
     texts = word.removeprefix(SITES).split(";")

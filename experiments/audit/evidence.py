@@ -14,7 +14,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from concord.bus.bus import FrameFormat, Rejected
-from concord.experiments.results.folder import ARRAYS, RECORDING
+from concord.experiments.results.folder import ARRAYS, recording_of
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.frame_formats import frame_format
@@ -65,11 +65,7 @@ def read_evidence(folder: Path) -> Evidence:
     Raises:
         ValueError: one of them is missing or damaged, with the command that mends it.
     """
-    if not (folder / RECORDING).exists():
-        raise ValueError(
-            f"{folder}: it holds no {RECORDING}; name the folder of a run that recorded its "
-            "messages (--driver in-process or processes)"
-        )
+    recording = recording_of(folder)
     if not (folder / ARRAYS).exists():
         raise ValueError(f"{folder}: it holds no {ARRAYS}; `concord collect {folder}` makes it")
     arrays = read_dataset(folder / ARRAYS, _NAMES, f"`concord collect {folder}` makes it again")
@@ -77,7 +73,7 @@ def read_evidence(folder: Path) -> Evidence:
     found = Evidence(scenario, arrays, False, Counter(), {}, {}, {}, [], [], 0)
     frames = frame_format(scenario)
     unreadable, in_real_time = 0, False
-    for topic, data in _messages(folder / RECORDING):
+    for topic, data in _messages(recording):
         kind, _, owner = topic.partition("/")
         in_real_time = in_real_time or kind == "timing"
         try:

@@ -187,19 +187,14 @@ def _explore(result: Path, options: PageOptions, beside: Path | None) -> None:
         runs.close()
 
 
-def _recorded(recording: Path) -> tuple["Setup", Path]:
-    """Return the setup of a recorded run, and its recording.
+def _recorded(named: Path) -> tuple["Setup", Path]:
+    """Return the setup of a run, named by its folder or a file in it, and its recording.
 
     Raises:
         ValueError: there is none.
     """
-    from concord.experiments.results.folder import RECORDING, read_description
+    from concord.experiments.results.folder import read_description, recording_of
 
-    if not recording.exists():
-        raise ValueError(f"{recording}: there is none; name the run.mcap of a run, or its folder")
-    folder = recording if recording.is_dir() else recording.parent
-    description = read_description(folder)
-    file = folder / RECORDING if recording.is_dir() else recording
-    if not file.is_file():
-        raise ValueError(f"{file}: there is none; the run ended before it began to record")
-    return description.setup, file
+    folder = named.parent if named.is_file() else named
+    recording = recording_of(folder)
+    return read_description(folder).setup, recording

@@ -149,6 +149,23 @@ def read_description_file(path: Path) -> Description:
     return read_json(path, Description, cure, "not the description of a run")
 
 
+def recording_of(folder: Path) -> Path:
+    """Return the recording of a run's messages.
+
+    Raises:
+        ValueError: there is no such folder, or it holds none.
+    """
+    if not folder.exists():
+        raise ValueError(f"{folder} does not exist; name the folder of a run")
+    recording = folder / RECORDING
+    if not recording.is_file():
+        raise ValueError(
+            f"{folder}: it holds no {RECORDING}; name the folder of a run that recorded its "
+            "messages (--driver in-process, processes or realtime)"
+        )
+    return recording
+
+
 def write_arrays(
     folder: Path,
     description: Description,

@@ -12,6 +12,7 @@ from concord.experiments.results.folder import (
     NODE_CAPTURE,
     RECORDING,
     Description,
+    recording_of,
     write_arrays,
 )
 from concord.experiments.results.innovations.of_run import RunInnovations
@@ -61,9 +62,7 @@ def completed(folder: Path, description: Description) -> Trace:
     Raises:
         ValueError: there are none.
     """
-    recording = folder / RECORDING
-    if not recording.exists():
-        raise ValueError(f"{recording}: there is none; the run ended before it began to record")
+    recording = recording_of(folder)
     trace = read_trace(description.setup, read_recording(recording))
     if not trace.steps:
         raise ValueError(f"{recording}: the run ended before all nodes completed a step")

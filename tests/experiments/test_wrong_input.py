@@ -172,8 +172,9 @@ def test_a_page_that_cannot_be_there_is_refused(complaint, command: str, place: 
     assert says in complaint(f"{command} {place}")
 
 
-def test_a_recording_that_is_not_there_is_named_as_it_was_said(complaint):
-    assert complaint("replay runs/nobody").startswith("concord: runs/nobody: there is none;")
+@pytest.mark.parametrize("command", ["replay", "audit", "plot", "report"])
+def test_a_run_that_is_not_there_is_named_as_it_was_said(complaint, command: str):
+    assert complaint(f"{command} runs/nobody").startswith("concord: runs/nobody does not exist; ")
 
 
 def test_an_empty_recording_shows_no_page(complaint, home: Path):

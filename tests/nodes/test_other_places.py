@@ -151,7 +151,7 @@ def _places(of: Scenario) -> np.ndarray:
         ({}, "3@nan/1", "two finite numbers in m"),
         ({}, "at:1/2;3/4", "2 sites, and the network 5 nodes"),
         ({}, "file:sites.txt", "reads no files; write NODE@x/y"),
-        ({}, "somewhere", "is none; give the number of a drawing"),
+        ({}, "somewhere", "is neither the number of a drawing"),
         ({"graph": "geometric"}, "4@5000/5000", "3 pieces"),
         ({"links": "moving:400"}, "4@500/400", "--links moving:400 brings its own graph"),
         ({"scenario": "oscillator"}, "1@0/0", "belongs to"),

@@ -111,7 +111,7 @@ def test_a_file_without_sites_is_refused_by_its_line(tmp_path, text, message):
     ("word", "nodes", "message"),
     [
         ("at:1/2;3/4", 3, "2 sites, and the network 3 nodes"),
-        ("here", 3, "'here': is none; give the number of a drawing"),
+        ("here", 3, "'here': is neither the number of a drawing"),
         ("at:1/2;3", 2, "site 1: '3' is no site"),
     ],
 )
