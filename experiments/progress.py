@@ -15,6 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 _PLAIN_LINES = 5
+# Longer work has more of them: somebody who reads along learns whether it goes on.
+_LONGEST_SILENCE_S = 120.0
 # The first estimate is due after this part of the work; less than so many seconds are not named.
 _EARLY, _LEAST_S = 0.05, 10.0
 # Programs that read events learn of progress so often.
@@ -67,14 +69,15 @@ def _events(title: str, total: int) -> Callable[[int], None]:
 
 def _plain_lines(title: str, total: int, brief: bool) -> Callable[[int], None]:
     left = time_left(total, time.monotonic)
-    shown, estimated = 0, False
+    shown, estimated, told_s = 0, False, time.monotonic()
 
     def say(done: int) -> None:
-        nonlocal shown, estimated
-        part, words = done * _PLAIN_LINES // total, left(done)
-        due = part > shown and (words or not brief)
+        nonlocal shown, estimated, told_s
+        part, words, now_s = done * _PLAIN_LINES // total, left(done), time.monotonic()
+        is_late = now_s - told_s >= _LONGEST_SILENCE_S
+        due = (part > shown or is_late) and (words or not brief)
         if due or (words and not estimated):
-            shown, estimated = part, estimated or bool(words)
+            shown, estimated, told_s = part, estimated or bool(words), now_s
             sys.stderr.write(f"{title}: {done} of {total}{words}\n")
             sys.stderr.flush()
 

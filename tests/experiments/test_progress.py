@@ -68,6 +68,16 @@ def test_lines_name_what_is_done_and_the_time_left(
     assert capsys.readouterr().err.splitlines() == [f"runs: {line}" for line in lines]
 
 
+def test_lines_of_long_work_are_two_minutes_apart(capsys, monkeypatch):
+    clock = Clock(60.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock))
+    with progress("runs", 20) as on_run:
+        for clock.done in range(1, 21):
+            on_run(clock.done)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[1] for line in lines] == [str(done) for done in range(2, 21, 2)]
+
+
 @pytest.mark.parametrize(("step_s", "told"), [(0.5, [1, 3, 5, 7, 9, 10]), (2.0, [*range(1, 11)])])
 def test_events_are_json_lines_one_a_second_at_most_and_one_at_the_end(
     step_s: float, told: list[int], capsys, monkeypatch
