@@ -40,9 +40,9 @@ class Findings(msgspec.Struct, frozen=True):
     `nis_before` and `nis_after` are those of the filter that hears everything, 1 if all is right.
     Without a logged side slip the fit hears a reference, which is uncertain by
     `side_slip_reference_rad`, None where there is none. It alone tells `told_by_reference`.
-    `side_slip_anees` is that of the filter that hears no side slip, with the process noise that was
-    found; the written car has `side_slip_factor` times as much, and its other sensors the NIS
-    `nis_written`.
+    `side_slip_anees` is that of the filter that hears no side slip. The written car has
+    `side_slip_factor` times the process noise of side slip that was found,
+    `lateral_acceleration_factor` times that noise, and its other sensors the NIS `nis_written`.
     """
 
     car: str
@@ -66,6 +66,7 @@ class Findings(msgspec.Struct, frozen=True):
     told_by_reference: list[str] = []
     side_slip_anees: float | None = None
     side_slip_factor: float | None = None
+    lateral_acceleration_factor: float | None = None
     nis_written: float | None = None
 
 
@@ -104,9 +105,17 @@ def findings_of(found: Identified, before: Car, fitted: CarFit | None) -> Findin
             one.name for one in seen if fitted.reference_rad is not None and one.path in HIDDEN
         ],
         side_slip_anees=None if claim is None else claim.anees.value,
-        side_slip_factor=None if claim is None else claim.factor,
+        side_slip_factor=None if claim is None else _process_factor(fitted),
+        lateral_acceleration_factor=None if claim is None else claim.factor,
         nis_written=None if claim is None else claim.nis,
     )
+
+
+def _process_factor(fitted: CarFit) -> float:
+    """Process noise of side slip of the written car over that which was found."""
+    path = ("process_noise", "side_slip_rad")
+    found = next(one.value for one in fitted.found if one.sought.path == path)
+    return value_at(fitted.car, path) / found
 
 
 def _parameter(found: FoundParameter, before: Car) -> ParameterFigures:
@@ -220,9 +229,11 @@ def _of_side_slip(f: Findings) -> Iterator[str]:
             "This drive changes its side slip too slowly to tell the tyres, or how their errors "
             "move. Drive a serpentine."
         )
-    if f.side_slip_factor is not None and f.side_slip_factor > 1:
+    if f.side_slip_factor is not None and f.side_slip_factor > 1 + 1e-9:
         yield (
             f"The car has {f.side_slip_factor:.2g} times the process noise of side slip that was "
-            "found: errors of the tyres last longer than a step, and other drives have others. "
-            f"ANEES of the side slip was {f.side_slip_anees:.3g}; NIS is now {f.nis_written:.3g}."
+            f"found, and {f.lateral_acceleration_factor:.2g} times the noise of lateral "
+            "acceleration, which tells it by the tyres: their errors last longer than a step, and "
+            f"other drives have others. ANEES of the side slip was {f.side_slip_anees:.3g}; NIS is "
+            f"now {f.nis_written:.3g}."
         )

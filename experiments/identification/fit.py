@@ -21,7 +21,7 @@ from concord.experiments.identification.likelihood import (
     widths_of,
 )
 from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
-from concord.experiments.identification.slip_claim import SlipClaim, slip_claim
+from concord.experiments.identification.slip_claim import SlipClaim, covering, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
 from concord.experiments.identification.sought import (
     SEEN,
@@ -66,7 +66,7 @@ class CarFit(NamedTuple):
 
     `freedoms` is the number of innovations; `converged` is False where steps ran out. The fit heard
     a reference of the side slip with the standard deviation `reference_rad`, None for no reference.
-    `claim` is None where the fit heard no side slip. It may raise its process noise in the car.
+    `claim` is None where the fit heard no side slip. It may raise noise in the car.
     """
 
     car: Car
@@ -121,8 +121,12 @@ def fit(
     moved = np.array([told_of.get(one.path, _UNTOLD)[0] for one in every])
     after, claim = car_with(car, every, moved), None
     if "side_slip" in log.sensors:
-        claim = _claim(log, heard, car_with(log.car, tried, spreads), tyre)
-        after = _with_claim(after, claim)
+        # Without a slip sensor no reading tells how the tyres err in other drives.
+        blind = heard.reference_rad is not None
+        least_rad = car.process_noise.side_slip_rad if blind else 0.0
+        read = car_with(log.car, tried, spreads)
+        claim = slip_claim(log, read, tyre, least_rad, by_reference=blind)
+        after = covering(after, least_rad, claim.factor)
     return CarFit(
         _in_new_ratio(after, car),
         found,
@@ -228,20 +232,6 @@ def _deviations(
     scatter = here.scatter + np.eye(len(cov)) + sum(np.outer(move, move) for move in moves)
     robust[kept] = np.minimum(np.sqrt(np.diagonal(cov @ scatter @ cov)), 1.0)
     return std, robust
-
-
-def _claim(log: LoggedReadings, heard: Heard, found: Car, tyre: Tyre) -> SlipClaim:
-    """The claim; without a slip sensor no reading tells how the tyres err in other drives, and the
-    process noise is no less than that of the file."""
-    alone = heard.reference_rad is not None
-    least = heard.car.process_noise.side_slip_rad if alone else 0.0
-    return slip_claim(log, found, tyre, least)
-
-
-def _with_claim(car: Car, claim: SlipClaim) -> Car:
-    noise = car.process_noise
-    wider = replace(noise, side_slip_rad=claim.factor * noise.side_slip_rad)
-    return replace(car, process_noise=wider)
 
 
 class _Best(NamedTuple):

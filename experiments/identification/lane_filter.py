@@ -10,6 +10,7 @@ from concord.experiments.identification.sought import process_noise_covs
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
+from concord.filters.update import Update
 from concord.plants.angles import wrapped
 from concord.plants.vehicle.corrections import SENSORS_OF_NODES, earlier, earlier_by
 from concord.plants.vehicle.model import SingleTrack, Tyre, axles_of
@@ -43,13 +44,24 @@ class LaneFilter:
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Innovations (B, lanes, m) that count, and their covariances, block by block."""
+        kept = []
+        for _, counts, found in self.updates():
+            if counts.any():
+                kept.append((np.where(counts, found.innovation, np.nan), found.innovation_cov))
+            if len(kept) == BLOCK_SAMPLES:
+                yield _stacked(kept)
+                kept = []
+        if kept:
+            yield _stacked(kept)
+
+    def updates(self) -> Iterator[tuple[np.ndarray, np.ndarray, Update]]:
+        """Of each step with readings: the readings (lanes, m), which count, and the update."""
         log, n, rule = self._log, self._states, scaled_unscented(self._states)
         transition = partial(self._model.transition, control=None, step=0)
         belief = Gaussian(
             np.broadcast_to(log.start.mean, (self._count, n)),
             np.broadcast_to(np.diag(np.square(log.start.std)), (self._count, n, n)),
         )
-        kept = []
         for step, (reading, counts) in enumerate(zip(*self._readings(), strict=True)):
             if step:
                 belief = predict(belief, transition, self._noise_cov, rule)
@@ -59,13 +71,7 @@ class LaneFilter:
                 belief, reading, self._measure, self._reading_cov, rule, residual=self._residual
             )
             belief = found.belief
-            if counts.any():
-                kept.append((np.where(counts, found.innovation, np.nan), found.innovation_cov))
-            if len(kept) == BLOCK_SAMPLES:
-                yield _stacked(kept)
-                kept = []
-        if kept:
-            yield _stacked(kept)
+            yield reading, counts, found
 
     def _readings(self) -> tuple[np.ndarray, np.ndarray]:
         """The readings (steps, lanes, m), moved by the delays of each lane beyond the car's, and
@@ -86,11 +92,14 @@ class LaneFilter:
         every = [one.measure(state, 0) for one in self._sensors]
         steering = self._sheets.steering.offset
         every[2][..., 0] = self._gain * (every[2][..., 0] - steering) + steering
+        stacked = np.concatenate([*every, self.slip(state)[..., None]], axis=-1)
+        return stacked[..., self._places]
+
+    def slip(self, state: np.ndarray) -> np.ndarray:
+        """The reading of the slip sensor in states (..., lanes, n)."""
         turning = self._sheets.slip_sensor_ahead_m * state[..., YAW_RATE]
         slip = np.arctan(np.tan(state[..., SIDE_SLIP]) + turning / np.maximum(state[..., SPEED], 1))
-        slip += self._sheets.side_slip.offset
-        stacked = np.concatenate([*every, slip[..., None]], axis=-1)
-        return stacked[..., self._places]
+        return slip + self._sheets.side_slip.offset
 
     def _residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., m), a course within (-pi, pi]."""

@@ -1,8 +1,9 @@
-"""Process noise with which the filter claims the errors of its side slip.
+"""Noise with which the filter claims the errors of its side slip.
 
 The likelihood judges predictions of the next reading. Errors of the tyres last longer than a step,
 so a filter that hears no side slip errs by more than it claims. Here it does not hear that of the
-log, which only judges it; a run does not hear it either.
+log, which only judges it; a run does not hear it either. The lateral acceleration tells the side
+slip by the tyres alone, so its noise grows with the process noise of the side slip.
 """
 
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from concord.experiments.identification.logged_readings import LoggedReadings
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.run_verdict import anees_interval
 from concord.plants.vehicle.model import Tyre
+from concord.plants.vehicle.network import SIDE_SLIP
 from concord.plants.vehicle.parameters import Car
 
 _FACTORS = 2.0 ** np.arange(0.0, 6.5, 0.5)
@@ -27,9 +29,9 @@ class SlipClaim(NamedTuple):
     """Judgement of the side slip of a log on the claim of a filter that does not hear it.
 
     Attributes:
-        anees: of the side slip, with the process noise that the fit found.
-        factor: process noise of the written car over that which the fit found, 1 or more.
-        nis: of the other sensors with that process noise.
+        anees: of the side slip, with the noise that the fit found, or the least process noise.
+        factor: by which the written car has more noise, 1 or more (`covering`).
+        nis: of the other sensors with that noise.
     """
 
     anees: Interval
@@ -37,34 +39,55 @@ class SlipClaim(NamedTuple):
     nis: float
 
 
-def slip_claim(log: LoggedReadings, car: Car, tyre: Tyre, least_rad: float) -> SlipClaim:
+def slip_claim(
+    log: LoggedReadings, car: Car, tyre: Tyre, least_rad: float, *, by_reference: bool
+) -> SlipClaim:
     """Judge a car by the side slip of a log.
 
-    The factor is that with which ANEES is 1, where the interval of ANEES lies above 1.
+    The factor is that with which ANEES is 1, where ANEES is above 1 and its interval too. Beside a
+    reference ANEES alone decides.
 
     Args:
         log: with side slip.
         car: as the fit found it; the noise of its slip sensor is that of the side slip.
         tyre: law of the lateral force.
-        least_rad: least process noise of the written car.
+        least_rad: least process noise of the side slip.
+        by_reference: whether the side slip is that of a reference. Its errors add to the difference
+            from the filter's, and those that both share cancel: it stands for the truth.
     """
-    sheet, noise, count = car.sensors.side_slip, car.process_noise, len(_FACTORS)
-    deaf = replace(car.sensors, side_slip=replace(sheet, noise=_UNHEARD_RAD))
-    noises = replace(noise, side_slip_rad=noise.side_slip_rad * _FACTORS)
-    lanes = replace(car, sensors=deaf, process_noise=noises)
+    sheet, count, lanes = car.sensors.side_slip, len(_FACTORS), covering(car, least_rad, _FACTORS)
+    known = 0.0 if by_reference else sheet.noise**2
+    deaf = replace(lanes.sensors, side_slip=replace(sheet, noise=_UNHEARD_RAD))
+    filtered = LaneFilter(log, replace(lanes, sensors=deaf), tyre, count)
     of_slip = np.array([name == "side_slip" for name in log.sensors])
     squares, totals, freedoms = [], np.zeros(count), 0
-    for innovation, cov in LaneFilter(log, lanes, tyre, count).blocks():
-        claimed = np.diagonal(cov, axis1=-2, axis2=-1) - _UNHEARD_RAD**2 + sheet.noise**2
-        each = np.square(innovation[..., of_slip]) / claimed[..., of_slip]
-        squares.append(each[np.isfinite(each).all(axis=(1, 2))].mean(axis=-1))
-        totals += squared(innovation, cov).sum(axis=0)
-        freedoms += int(np.isfinite(innovation[:, 0, ~of_slip]).sum())
-    every = np.concatenate(squares)
-    found, factor = anees_interval(every[:, 0]), max(1.0, least_rad / noise.side_slip_rad)
-    if found.low > 1:
+    for reading, counts, found in filtered.updates():
+        innovation = np.where(counts, found.innovation, np.nan)
+        totals += squared(innovation, found.innovation_cov)
+        freedoms += int(np.isfinite(innovation[0, ~of_slip]).sum())
+        estimates = found.belief
+        for error in (reading - filtered.slip(estimates.mean)[:, None])[:, of_slip & counts[0]].T:
+            if np.isfinite(error).all():
+                claimed = estimates.cov[:, SIDE_SLIP, SIDE_SLIP] + known
+                squares.append(np.square(error) / claimed)
+    every = np.stack(squares)
+    judged, factor = anees_interval(every[:, 0]), 1.0
+    if by_reference or judged.low > 1:
         # Means fall with the factor.
-        right = np.interp(0.0, -np.log(every.mean(axis=0)), np.log(_FACTORS))
-        factor = max(factor, float(np.exp(right)))
+        factor = np.exp(np.interp(0.0, -np.log(every.mean(axis=0)), np.log(_FACTORS))).item()
     total = np.interp(np.log(factor), np.log(_FACTORS), totals)
-    return SlipClaim(found, factor, float(total) / freedoms)
+    return SlipClaim(judged, factor, float(total) / freedoms)
+
+
+def covering(car: Car, least_rad: float, factor: np.ndarray | float) -> Car:
+    """The car with so much more noise of what tells the side slip; an array makes lanes.
+
+    Its process noise of side slip is at least `least_rad` before.
+    """
+    sensors, process = car.sensors, car.process_noise
+    sheet, noise_rad = sensors.lateral_acceleration, max(process.side_slip_rad, least_rad)
+    return replace(
+        car,
+        process_noise=replace(process, side_slip_rad=noise_rad * factor),
+        sensors=replace(sensors, lateral_acceleration=replace(sheet, noise=sheet.noise * factor)),
+    )

@@ -149,9 +149,9 @@ def test_errors_lead_where_innovations_are_small():
         (
             UNKNOWN,
             SlipEvidence(OVER, False, (14.0, 3.2, 4.6)),
-            "the side slip errs by more than the filter that hears everything claims (ANEES 2.9 "
-            "where 1 is right, by what yaw rate and lateral acceleration add up to; most from 3.2 "
-            "to 4.6 s of the run: 14)",
+            "the side slip errs by more than the filter that hears everything claims (ANEES 2.3 to "
+            "3.7 where 1 is right, by what yaw rate and lateral acceleration add up to, which errs "
+            "too; most from 3.2 to 4.6 s of the run: 14)",
         ),
     ):
         sentence = innovation_verdict(

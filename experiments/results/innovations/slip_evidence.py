@@ -35,7 +35,10 @@ class SlipEvidence(NamedTuple):
     """ANEES of the side slip of the filter that hears everything, beside the logged side slip, or
     beside a reference; NaN where the drive does not tell it.
 
-    `worst` is the largest ANEES of a tenth of the run, with its start and end in s.
+    A reference stands for the truth, and its errors widen the interval. Its lower end is that of a
+    filter that shares none of them; the upper end that of one that knows no more than the
+    reference, whose errors add. `worst` is the largest ANEES of a tenth of the run, with its start
+    and end in s.
     """
 
     anees: Interval
@@ -46,12 +49,15 @@ class SlipEvidence(NamedTuple):
         """ "the side slip errs by more than ... claims (ANEES 2.9 where 1 is right, by ...)" """
         if np.isnan(self.anees.low):
             return "this drive does not tell how far the side slip errs"
-        by = "the logged one" if self.logged else "what yaw rate and lateral acceleration add up to"
+        by, shown = "the logged one", f"{self.anees.value:.3g}"
+        if not self.logged:
+            by = "what yaw rate and lateral acceleration add up to, which errs too"
+            shown = f"{self.anees.low:.2g} to {self.anees.high:.2g}"
         beyond_claim, (most, start_s, end_s) = beyond(self.anees), self.worst
         where = f"; most from {start_s:.3g} to {end_s:.3g} s of the run: {most:.3g}"
         return (
             f"the side slip errs {_ERRS[beyond_claim]} the filter that hears everything claims "
-            f"(ANEES {self.anees.value:.3g} where 1 is right, by {by}"
+            f"(ANEES {shown} where 1 is right, by {by}"
             f"{where if beyond_claim == 'overconfident' and np.isfinite(most) else ''})"
         )
 
@@ -62,7 +68,7 @@ def slip_evidence(
     """Judge the beliefs (S, n) of the filter that hears everything, in the steps (S,) that count.
 
     None without a log of a car. A reference is sought in the first `longest_s` from the first step
-    that counts. It shares errors with the filter, so its ANEES is too small rather than too large.
+    that counts.
     """
     plant = setup.scenario.plant
     if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
@@ -72,7 +78,7 @@ def slip_evidence(
     if logged:
         drive: Any = definition_of(setup.scenario).plant(setup.scenario)
         error = belief.mean - drive.truth[: len(counted)]
-        squares = scored_nees(setup.scenario, error, belief.cov)
+        every = scored_nees(setup.scenario, error, belief.cov)[None]
     else:
         grid = steps_over(corrected(channels, car.sensors), setup.time_step_s)
         times_s = grid.instants_s[: len(counted)]
@@ -80,10 +86,11 @@ def slip_evidence(
         reference = reference_of(cut(channels, start_s, start_s + longest_s), car)
         if reference is None or reference.told > SEEN:
             return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
-        squares = _squares(belief, reference, times_s)
-    squares = np.where(counted, squares, np.nan)
-    found = anees_interval(squares, confidence)
-    return SlipEvidence(found, logged, _worst(squares, setup.time_step_s))
+        every = squares_beside(belief, reference, times_s)
+    every = np.where(counted, every, np.nan)
+    found = [anees_interval(squares, confidence) for squares in every]
+    anees = Interval(found[0].value, min(one.low for one in found), max(one.high for one in found))
+    return SlipEvidence(anees, logged, _worst(every[0], setup.time_step_s))
 
 
 def _worst(squares: np.ndarray, time_step_s: float) -> tuple[float, float, float]:
@@ -122,11 +129,17 @@ def reference_of(channels: Mapping[str, ChannelReadings], car: Car) -> SlipRefer
     return slip_reference(channels, tyres, tanh_tyre)
 
 
-def _squares(belief: Gaussian, reference: SlipReference, times_s: np.ndarray) -> np.ndarray:
-    """Squared differences (S,) over the variances of both; NaN outside the reference."""
+def squares_beside(belief: Gaussian, reference: SlipReference, times_s: np.ndarray) -> np.ndarray:
+    """Squared differences (3, S) over the variances that estimates claim, NaN outside the
+    reference: as they are, with those of the reference claimed too, and added as errors.
+
+    The second are 1 on average where the errors of both are independent; the third where the
+    reference is the mean of the truth, given all that estimates have heard.
+    """
     stamps_s, values = reference.readings
     within = (times_s >= stamps_s[0]) & (times_s <= stamps_s[-1])
-    error = belief.mean[:, SIDE_SLIP] - np.interp(times_s, stamps_s, values)
-    std = np.interp(times_s, stamps_s, reference.std_rad)
-    squares = np.square(error) / (belief.cov[:, SIDE_SLIP, SIDE_SLIP] + np.square(std))
-    return np.where(within, squares, np.nan)
+    square = np.square(belief.mean[:, SIDE_SLIP] - np.interp(times_s, stamps_s, values))
+    errs = np.square(np.interp(times_s, stamps_s, reference.std_rad))
+    claimed = belief.cov[:, SIDE_SLIP, SIDE_SLIP]
+    found = np.stack([square / claimed, square / (claimed + errs), (square + errs) / claimed])
+    return np.where(within, found, np.nan)
