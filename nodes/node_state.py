@@ -1,6 +1,6 @@
 """The configuration of a node, and its state between two events."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -33,7 +33,8 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do. `bus` says which node sends when and in which frames.
+    `graph` has the nodes that each node hears, and `neighbours` those of this node; both ascend, as
+    the weights do. `bus` says which node sends when and in which frames.
     `links` says which frames do not arrive, `scenario_links` which would not without any change.
     `faults` are all other faults. In a `timed` network a group ends when its time is over
     (`CycleClosed`), and not when all its frames have come.
@@ -44,7 +45,7 @@ class NodeConfig:
     """
 
     index: int
-    neighbours: tuple[int, ...]
+    graph: Sequence[Sequence[int]]
     rounds: int
     steps: int
     bus: Bus
@@ -57,6 +58,11 @@ class NodeConfig:
     timed: bool = False
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
+
+    @cached_property
+    def neighbours(self) -> tuple[int, ...]:
+        """The nodes that this node hears."""
+        return tuple(self.graph[self.index])
 
     @property
     def schedule(self) -> Schedule:

@@ -55,7 +55,7 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
     cycle = standing.first_cycle + (step - standing.first_step) * scenario.rounds
     return NodeConfig(
         node,
-        tuple(setup.neighbours[node]),
+        setup.neighbours,
         scenario.rounds,
         scenario.steps,
         bus,

@@ -4,12 +4,9 @@ from collections.abc import Iterable
 
 import msgspec
 
-from concord.nodes.changes import Settings
-from concord.nodes.commands import Configure
 from concord.plants.placement import site_text, stands_by_step, word_by_step
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.preparation import complete_settings
-from concord.scenarios.script import script_of
+from concord.scenarios.preparation import scripted_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.plants import PlacedSensors
 
@@ -28,13 +25,10 @@ def with_moves(setup: Setup, moves: Iterable[tuple[int, str]]) -> Setup:
 
 def with_scripted_moves(setup: Setup) -> Setup:
     """Return the setup whose sensors move as its script says, or one of `with_moves` as it is."""
-    scenario, moves = setup.scenario, list[tuple[int, str]]()
-    plant = scenario.plant
+    plant = setup.scenario.plant
     if not isinstance(plant, PlacedSensors) or stands_by_step(plant.placement):
         return setup
-    settings: Settings = {}
-    for step, command in script_of(scenario):
-        if isinstance(command, Configure):
-            settings = complete_settings(setup, settings, command.settings)
-            moves += [(step, str(settings["placement"]))] if "placement" in settings else []
-    return with_moves(setup, moves)
+    standing = scripted_settings(setup)
+    return with_moves(
+        setup, [(step, str(some["placement"])) for step, some in standing if "placement" in some]
+    )

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from concord._version import __version__
 from concord.filters.gaussian import Gaussian
 from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.changes import Settings
+from concord.nodes.commands import Configure
 from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import from_wire, to_wire
 from concord.nodes.share_forms import MEAN_REACH
@@ -24,7 +26,7 @@ from concord.scenarios.links import losses_of, network_of, require_static_links
 from concord.scenarios.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
 from concord.scenarios.scenario_definition import ScenarioPlant
-from concord.scenarios.script import check_script
+from concord.scenarios.script import check_script, script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
@@ -232,6 +234,15 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     if changed.bus.schedule.name != scenario.bus.schedule.name:
         settings = {**settings, "schedule": changed.bus.schedule.name}
     return {name: value for name, value in settings.items() if name not in left}
+
+
+def scripted_settings(setup: Setup) -> Iterator[tuple[int, Settings]]:
+    """Yield each step in which the script sets something, and all settings from then on."""
+    settings: Settings = {}
+    for step, command in script_of(setup.scenario):
+        if isinstance(command, Configure):
+            settings = complete_settings(setup, settings, command.settings)
+            yield step, settings
 
 
 def _edges(scenario: Scenario, graph: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
-from concord.nodes.changes import UNCHANGED, Settings, Standing
+from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.commands import Configure, Inject, Kill
 from concord.nodes.faults.losses import LinkState, hears_all
 from concord.nodes.lanes.links import Links, Shares, links_of, places
@@ -30,7 +30,13 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import build_faults
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import BatchContext, Beginning
-from concord.scenarios.preparation import complete_settings, prepare, share_bytes, with_settings
+from concord.scenarios.preparation import (
+    complete_settings,
+    prepare,
+    scripted_settings,
+    share_bytes,
+    with_settings,
+)
 from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
@@ -42,15 +48,16 @@ def without_array_form(scenario: Scenario) -> str | None:
     definition = definition_of(scenario)
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
-    if any(held.network.graph != scenario.network.graph for held in _set_in(scenario)):
+    later = tuple(_set_in(scenario))
+    if any(held.network.graph != scenario.network.graph for held in later):
         return "another graph (--changes)"
-    if any(held.plant != scenario.plant for held in _set_in(scenario)):
+    if any(held.plant != scenario.plant for held in later):
         return "sensors at other places (--changes)"
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
     if (wiring := definition.wiring(scenario)) is not None:
         return wiring.lacking(scenario)
-    for held in (scenario, *_set_in(scenario)):
+    for held in (scenario, *later):
         rule = rule_of(held)
         if (lacking := rule.lacking(held)) is not None:
             return lacking
@@ -70,11 +77,9 @@ def _loses_clocks(scenario: Scenario) -> bool:
 
 
 def _set_in(scenario: Scenario) -> Iterator[Scenario]:
-    """The scenario each time that its changes have set something: all settings apply together."""
-    settings: Settings = {}
-    for _, command in script_of(scenario):
-        if isinstance(command, Configure):
-            settings = {**settings, **command.settings}
+    """Yield the scenario each time that its changes have set something."""
+    if any(isinstance(one.command, Configure) for one in script_of(scenario)):
+        for _, settings in scripted_settings(prepare(scenario)):
             yield scenario.with_known(**settings)[0]
 
 

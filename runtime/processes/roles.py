@@ -13,13 +13,7 @@ import msgspec
 
 from concord.nodes.node_state import NodeConfig
 from concord.runtime.disk import NotWritten
-from concord.runtime.network.links import (
-    RECORDER,
-    WATCH,
-    ZenohEndpoints,
-    endpoints_below,
-    peers_of,
-)
+from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints, endpoints_below
 from concord.runtime.network.zenoh_transport import LinkError, start_router
 from concord.runtime.processes.environment.failures import Deserted, Disagreement
 from concord.runtime.processes.environment.management import Management
@@ -124,7 +118,6 @@ def be_node(
         job.run,
         links[str(index)],
         config,
-        peers_of(index, job.setup.neighbours),
         fingerprint(job.setup),
         late,
         endpoints_below(links, index),

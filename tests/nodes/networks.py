@@ -139,8 +139,8 @@ def network(
     bus = TimelessBus(schedule, codec.size)
     generator = np.random.default_rng(seed)
     nodes = []
-    for i in range(count):
-        heard = np.flatnonzero(adjacency[i]).tolist()
+    graph = [np.flatnonzero(row).tolist() for row in adjacency]
+    for i, heard in enumerate(graph):
         estimator = AtNode(
             BeliefConsensus(average, hold_policy, n),
             Place(np.array(i), weights[i, [i, *heard]]),
@@ -150,7 +150,7 @@ def network(
             filter=SigmaPointFilter(scaled_unscented(n)),
             codec=codec.vector,
         )
-        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))
+        nodes.append(NodeConfig(i, graph, rounds, steps, bus, estimator))
     environment = EnvironmentConfig(
         plant=plant,
         initial_state=np.ones(n),

@@ -60,8 +60,7 @@ def record():
     steps = WholeSteps(count, 3, SHARE_FRAMES)
     run_recorder("broken", links[RECORDER], links[WATCH], recorder, steps)
 def be(i):
-    peers = peers_of(i, setup.neighbours)
-    membership = Membership("broken", links[str(i)], build_node(setup, i), peers, mark)
+    membership = Membership("broken", links[str(i)], build_node(setup, i), mark)
     run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}", os.pipe()[0])

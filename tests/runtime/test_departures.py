@@ -46,7 +46,7 @@ class Quiet:
 def test_a_neighbour_out_of_reach_is_named_unless_it_returns_or_is_out(returns: bool, is_out: bool):
     """A node that returns may link to a new neighbour later than it is let in."""
     quiet, config = Quiet(), middle_node()
-    membership = Membership("quiet", ZenohEndpoints("peer", (), ()), config, [0, 2], "")
+    membership = Membership("quiet", ZenohEndpoints("peer", (), ()), config, "")
     with (
         patch.object(lockstep, "Transport", lambda *_: quiet),
         patch.object(lockstep, "_GRACE_S", 0.0),

@@ -141,8 +141,7 @@ def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1, SHARE_FRAMES)
     run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3, SHARE_FRAMES))
 def node(i, mark):
-    config, peers = build_node(setup, i), setup.neighbours[i]
-    membership = Membership("refuse", links[str(i)], config, peers, mark)
+    membership = Membership("refuse", links[str(i)], build_node(setup, i), mark)
     run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, 64 * "a"))

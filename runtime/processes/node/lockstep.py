@@ -12,7 +12,7 @@ from concord.nodes import node_changes
 from concord.nodes.changes import Joined
 from concord.nodes.messages import NodeEvent, NodeMessage, Unreachable, encode, topic
 from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
-from concord.runtime.network.links import ENVIRONMENT
+from concord.runtime.network.links import ENVIRONMENT, peers_of
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.departed_peers import DepartedPeers
 from concord.runtime.processes.node.entry import await_links
@@ -148,7 +148,7 @@ class LockstepNode:
 
     def link(self, config: NodeConfig) -> None:
         """Hear the neighbours of a configuration, and wait for links to those that are new."""
-        peers = self._membership.peers_in(config)
+        peers = {*peers_of(config.index, config.graph)}
         if config.neighbours == self._neighbours and peers == self._peers:
             return
         new, self._peers, self._neighbours = peers - self._peers, peers, config.neighbours

@@ -1,7 +1,7 @@
 """How the process of a node belongs to a network of processes."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import msgspec
 
@@ -16,7 +16,6 @@ class Membership(msgspec.Struct, frozen=True):
         run: the name of the run, below which all its topics lie.
         links: how this process connects.
         config: what the node is.
-        peers: nodes that it hears or that hear it; all must be there before the first share.
         fingerprint: digest of the setup; the environment process refuses another than its own.
         late: it joins a network that may run already.
         endpoints: where nodes listen to which this one may have to open a link, when a change makes
@@ -28,12 +27,12 @@ class Membership(msgspec.Struct, frozen=True):
     run: str
     links: ZenohEndpoints
     config: NodeConfig
-    peers: Collection[int]
     fingerprint: str
     late: bool = False
     endpoints: Mapping[int, str] = {}
     peer_timeout_s: float = math.inf
 
-    def peers_in(self, config: NodeConfig) -> set[int]:
-        """Return whom this node hears, or who hears it, in a configuration of it."""
-        return {*peers_of(config.index, config.faults.equipment.neighbours)}
+    @property
+    def peers(self) -> list[int]:
+        """The nodes that this node hears or that hear it; all are there before the first share."""
+        return peers_of(self.config.index, self.config.graph)
