@@ -41,20 +41,19 @@ class SelfCheckedFlooding(LabelledFlooding):
         heard = super()._hear(content, place, share)
         if not share.suspect or _asks(content):
             return heard
-        known = heard.known.copy()
         # The digest is about the last steps. Of older ones the neighbour reports nothing.
-        known[place, :, : self.frames.window_steps - self.frames.digest_steps] = 0
-        return heard._replace(known=known, owed=True)
+        older = self.frames.window_steps - self.frames.digest_steps
+        return heard._replace(near=heard.near.forgotten(place, last=older), owed=True)
 
     def _fuse_base(
         self, content: LabelledContent, checkpoint: Gaussian
-    ) -> tuple[LabelledContent, list[str]]:
+    ) -> tuple[LabelledContent, str]:
         """Fuse a checkpoint with the base; it replaces the base of a node that asks for help."""
         if not _asks(content) or not self._has_common_base(content):
             return super()._fuse_base(content, checkpoint)
         windows = content.windows._replace(base=one_lane(checkpoint))
         windows = trusting(windows, np.ones((1, 1), dtype=bool))
-        return content._replace(windows=windows), ["checkpoint-adopted"]
+        return content._replace(kept=content.kept._replace(windows=windows)), "adopted"
 
 
 def _asks(content: LabelledContent) -> bool:

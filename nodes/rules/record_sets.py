@@ -5,7 +5,7 @@ Source s is bit s mod 8 of byte s // 8. Unions are bitwise; leading axes are fre
 none.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -44,6 +44,18 @@ def packed(flags: np.ndarray) -> RecordSets:
 def flags_of(sets: RecordSets, nodes: int) -> np.ndarray:
     """Whether each record is in: (..., W, N) bool."""
     return np.unpackbits(sets, axis=-1, count=nodes, bitorder="little").view(bool)
+
+
+def digest_of(sets: RecordSets, steps: int) -> tuple[int, ...]:
+    """The sources in the last places of one set (W, B), the newest place first, as bits."""
+    last = sets[len(sets) - steps :]
+    return tuple(int.from_bytes(sources.tobytes(), "little") for sources in last[::-1])
+
+
+def from_digest(digest: Sequence[int], width: int) -> RecordSets:
+    """The set (D, B) that a digest tells, in rows of so many bytes."""
+    data = b"".join(sources.to_bytes(width, "little") for sources in digest[::-1])
+    return np.frombuffer(data, np.uint8).reshape(-1, width)
 
 
 def one_step_on(sets: RecordSets) -> RecordSets:

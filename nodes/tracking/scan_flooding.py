@@ -169,7 +169,7 @@ class ScanFlooding:
         )
 
     def _tracked(self, content: ScanContent) -> ScanContent:
-        windows, records = content.flooded.windows, content.flooded.records
+        windows, records = content.flooded.windows, content.flooded.kept.records
         steps = (
             (windows.step_at(place), tuple(sorted(records[place].items())))
             for place in range(windows.first, len(records))

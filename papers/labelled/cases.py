@@ -241,7 +241,7 @@ class Observed:
             prior = Gaussian(away, np.diag(_LOST_DEVIATIONS**2))
             content = self.inner.restart(prior, content)
         content, failures = self.inner.begin_step(content, measured)
-        if self.inner.node in content.records[-1]:
+        if self.inner.node in content.kept.records[-1]:
             self.recorded.add((measured.step, self.inner.node))
         return content, failures
 

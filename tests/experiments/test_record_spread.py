@@ -39,7 +39,7 @@ def test_arrivals_are_what_the_nodes_hold(lossy: dict):
     last = setup.scenario.steps - 1
     for node, state in enumerate(states):
         windows = state.content.windows
-        for place, records in enumerate(state.content.records):
+        for place, records in enumerate(state.content.kept.records):
             came = spread.arrival_steps[node, windows.step_at(place)]
             assert set(np.flatnonzero((came != NEVER) & (came <= last)).tolist()) == set(records)
 

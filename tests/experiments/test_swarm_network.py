@@ -117,8 +117,8 @@ def test_tracks_are_those_of_the_records_that_a_node_held_last():
     def watch(config, event, state) -> None:
         windows, index = state.content.flooded.windows, config.index
         last[index] = state.content
-        for place in range(windows.first, len(state.content.flooded.records)):
-            held[index][windows.step_at(place)] = dict(state.content.flooded.records[place])
+        for place in range(windows.first, len(state.content.flooded.kept.records)):
+            held[index][windows.step_at(place)] = dict(state.content.flooded.kept.records[place])
 
     # One step at a time, so that the watch sees the end of each.
     environment = dataclasses.replace(build_environment(setup), lead=1)

@@ -183,7 +183,7 @@ def held_by(states: Iterable[Any]) -> Held:
         content: LabelledContent = state.content
         first = content.windows.step_at(0)
         found.append(
-            {(first + place, j) for place, some in enumerate(content.records) for j in some}
+            {(first + place, j) for place, some in enumerate(content.kept.records) for j in some}
         )
     return found
 

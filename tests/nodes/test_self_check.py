@@ -102,7 +102,7 @@ def losing(one: type, many: type) -> dict[str, type]:
         def begin_step(self, content: Any, measured: Any) -> Any:
             content, failures = super().begin_step(content, measured)
             windows = wrong_and_sure(content.windows, self.node, measured.step)
-            return content._replace(windows=windows), failures
+            return content._replace(kept=content.kept._replace(windows=windows)), failures
 
     @dataclass(frozen=True)
     class LosingInArrays(many):
@@ -184,17 +184,19 @@ def test_a_node_helps_a_lost_neighbour_unless_it_is_lost_itself():
     rule = estimator()
     # Records of a step that is older than a digest.
     begun = rule.start()
-    held, known = begun.held.copy(), begun.known.copy()
+    held, known = begun.kept.held.copy(), begun.near.known.copy()
     held[1] = known[..., 1, :] = 0b11111
-    everything = begun._replace(held=held, known=known)
+    everything = begun._replace(
+        kept=begun.kept._replace(held=held), near=begun.near._replace(known=known)
+    )
     _, body = rule.compose(lost(rule.start()))
     share = rule.accept(body)
     helped, _ = rule.fuse(everything, (share, None))
-    assert helped.owed and not helped.known[0].any()
-    np.testing.assert_array_equal(helped.known[1], known[1])
+    assert helped.owed and not helped.near.known[0].any()
+    np.testing.assert_array_equal(helped.near.known[1], known[1])
     ignored, _ = rule.fuse(lost(everything), (share, None))
     assert not ignored.owed
-    np.testing.assert_array_equal(ignored.known, known)
+    np.testing.assert_array_equal(ignored.near.known, known)
 
 
 def estimator() -> SelfCheckedFlooding:
@@ -208,4 +210,5 @@ def lost(content: Any) -> Any:
     windows = content.windows
     surprise, entries = windows.surprise.copy(), windows.entries.copy()
     surprise[..., -1], entries[..., -1] = 500.0, 4
-    return content._replace(windows=windows._replace(surprise=surprise, entries=entries))
+    windows = windows._replace(surprise=surprise, entries=entries)
+    return content._replace(kept=content.kept._replace(windows=windows))
