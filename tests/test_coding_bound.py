@@ -15,6 +15,7 @@ import pytest
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.scenario_options import scenario_of
 from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.links import neighbourhoods
 from concord.scenarios.preparation import prepare
 
 pytestmark = pytest.mark.slow
@@ -37,8 +38,9 @@ def test_an_ideal_code_would_save_little(monkeypatch: pytest.MonkeyPatch) -> Non
         left_out += np.bitwise_count(untold & ~records).sum()
         sent += np.bitwise_count(records).sum()
         for run, node, share in zip(runs, nodes, records, strict=True):
-            near = self.links.sender[self._near.links[node][self._near.real[node]]]
-            lacked = share & ~content.held[run, near]
+            place = neighbourhoods(self.links)
+            near = self.links.sender[place.links[node][place.real[node]]]
+            lacked = share & ~content.kept.held[run, near]
             useful += np.bitwise_count(np.bitwise_or.reduce(lacked, axis=0)).sum()
             coded += np.bitwise_count(lacked).sum(axis=(1, 2)).max()
         return after
@@ -59,8 +61,10 @@ def test_perfect_knowledge_of_neighbours_leaves_most_of_the_error(
     lossless = _error({**LOSSY, "loss": 0.0})
 
     def known(self: Any, content: Any, runs: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        near, own = self._near, content.held[runs, nodes][:, None]
-        lacked = own & ~content.held[runs[:, None], self.links.sender[near.links[nodes]]]
+        near, held = neighbourhoods(self.links), content.kept.held
+        lacked = (
+            held[runs, nodes][:, None] & ~held[runs[:, None], self.links.sender[near.links[nodes]]]
+        )
         doubts = np.zeros((*lacked.shape[:2], self.choice.levels, *lacked.shape[2:]), np.uint8)
         doubts[:, :, 0] = np.where(near.real[nodes][..., None, None], lacked, np.uint8(0))
         return doubts

@@ -98,11 +98,6 @@ def test_a_page_makes_a_function_public(monkeypatch: pytest.MonkeyPatch):
     assert not list(functions_are_called([source("bus/a.py", "def lonely(): pass")]))
 
 
-def test_a_reason_excuses_a_large_class(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(structure, "reasons", lambda: {"Big": "its states are one table"})
-    assert not list(classes_are_small([source("bus/a.py", BIG)]))
-
-
 def test_every_rule_has_a_planted_violation():
     assert {rule for rule, *_ in PLANTED} == set(RULES)
 

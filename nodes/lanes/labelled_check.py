@@ -6,12 +6,8 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.filter import added
-from concord.nodes.lanes.labelled import (
-    BatchedFlooding,
-    BatchedLabelledContent,
-    Came,
-    Shared,
-)
+from concord.nodes.lanes.labelled import BatchedFlooding, BatchedLabelledContent
+from concord.nodes.lanes.labelled_shares import Came, Shared
 from concord.nodes.rules.record_sets import RecordSets
 from concord.nodes.rules.self_check import ASKING, is_suspect, trusting
 
@@ -55,10 +51,10 @@ class BatchedSelfChecked(BatchedFlooding):
         sender, receiver = self.links.sender[came.links], self.links.receiver[came.links]
         here = asks[came.runs, sender] & ~asks[came.runs, receiver]
         runs, links = came.runs[here], came.links[here]
-        known, owed = after.known.copy(), after.owed.copy()
-        known[runs, links, :, : self._window - self.frames.digest_steps] = 0
+        known, owed = after.near.known.copy(), after.owed.copy()
+        known[runs, links, :, : self.frames.window_steps - self.frames.digest_steps] = 0
         owed[runs, receiver[here]] = True
-        return after._replace(known=known, owed=owed)
+        return after._replace(near=after.near._replace(known=known), owed=owed)
 
     def _with_checkpoints(
         self, content: BatchedLabelledContent, shares: Shared, came: Came
@@ -68,7 +64,9 @@ class BatchedSelfChecked(BatchedFlooding):
         receiver = self.links.receiver[came.links]
         first = np.flatnonzero(shares.with_checkpoint[came.lanes] & asks[came.runs, receiver])
         # Shares stand in order of run, receiver and sender.
-        _, place = np.unique(came.runs[first] * self._nodes + receiver[first], return_index=True)
+        _, place = np.unique(
+            came.runs[first] * self.links.nodes + receiver[first], return_index=True
+        )
         first = first[place]
         if not len(first):
             return super()._with_checkpoints(content, shares, came)
@@ -80,7 +78,8 @@ class BatchedSelfChecked(BatchedFlooding):
             values[lanes] = given[came.lanes[first]]
         windows = trusting(content.windows._replace(base=base), adopted)
         content = content._replace(
-            windows=windows, counters=added(content.counters, {"checkpoint-adopted": adopted})
+            kept=content.kept._replace(windows=windows),
+            counters=added(content.counters, {"checkpoint-adopted": adopted}),
         )
         left = np.ones(len(came.lanes), dtype=bool)
         left[first] = False

@@ -17,7 +17,6 @@ from concord.nodes.lanes.filter import Counters, added
 from concord.nodes.lanes.labelled import BatchedFlooding, BatchedLabelledContent
 from concord.nodes.lanes.network import ShareContents
 from concord.nodes.messages import ReportedTracks
-from concord.nodes.rules.record_sets import flags_of
 from concord.nodes.tracking.scan_flooding import (
     Reached,
     StepRecords,
@@ -105,7 +104,7 @@ class BatchedScanFlooding:
     def _tracked(self, content: BatchedScanContent) -> BatchedScanContent:
         flooded = content.flooded
         is_full = flooded.windows.first == 0
-        held = flags_of(flooded.held, self.flooding.links.nodes)
+        held = flooded.kept.flags
         windows = tuple(
             tuple(
                 window.after(self.track, steps, is_full)

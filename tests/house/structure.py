@@ -1,13 +1,12 @@
 """Rules of structure: no import circles, no crowded folders, no large classes."""
 
 import ast
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import networkx
 
-from tests.house.sources import ROOT, Source, imported_modules
+from tests.house.sources import Source, imported_modules
 
 MOST_FILES, MOST_CLASS_LINES = 25, 200
 
@@ -40,23 +39,13 @@ def folders_are_small(sources: Sequence[Source]) -> Iterator[str]:
 
 
 def classes_are_small(sources: Sequence[Source]) -> Iterator[str]:
-    """Refuse large classes, unless ARCHITECTURE.md gives the reason."""
-    excused = reasons()
+    """Refuse large classes."""
     for file in sources:
         for node in ast.walk(file.tree):
-            if isinstance(node, ast.ClassDef) and node.name not in excused:
+            if isinstance(node, ast.ClassDef):
                 lines = (node.end_lineno or node.lineno) - node.lineno + 1
                 if lines > MOST_CLASS_LINES:
                     yield (
                         f"{file.path}:{node.lineno}: class {node.name} has {lines} lines, at most "
-                        f"{MOST_CLASS_LINES}; split it by idea, or give the reason in "
-                        "ARCHITECTURE.md, section 'Large classes'"
+                        f"{MOST_CLASS_LINES}; split it by idea"
                     )
-
-
-def reasons() -> dict[str, str]:
-    """Return the classes that ARCHITECTURE.md excuses, each with its reason."""
-    page = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    section = re.search(r"^## Large classes$(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
-    rows = re.findall(r"^- `(\w+)`[^:]*: (.+)$", section[1] if section else "", re.MULTILINE)
-    return dict(rows)

@@ -108,7 +108,8 @@ def losing(one: type, many: type) -> dict[str, type]:
     class LosingInArrays(many):
         def begin_step(self, content: Any, readings: Any, control: Any, step: int) -> Any:
             content = super().begin_step(content, readings, control, step)
-            return content._replace(windows=wrong_and_sure(content.windows, 0, step))
+            windows = wrong_and_sure(content.windows, 0, step)
+            return content._replace(kept=content.kept._replace(windows=windows))
 
     return {"SelfCheckedFlooding": Losing, "BatchedSelfChecked": LosingInArrays}
 

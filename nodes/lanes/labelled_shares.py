@@ -1,0 +1,49 @@
+"""Shares of the rule `labelled` in arrays: what nodes send at once, and where it comes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, pack_upper, unpack_upper
+from concord.nodes.lanes.filter import received
+from concord.nodes.lanes.links import Links
+from concord.nodes.rules.local_filter import finite_lanes
+from concord.nodes.rules.record_sets import RecordSets
+
+
+class Shared(NamedTuple):
+    """Shares of lanes (L,): node `nodes` of run `runs` each.
+
+    Their content: records (L, W, B), whether there is a checkpoint (L,), and which it is (L, ...).
+    """
+
+    runs: np.ndarray
+    nodes: np.ndarray
+    records: RecordSets
+    with_checkpoint: np.ndarray
+    checkpoint: Gaussian
+
+
+class Came(NamedTuple):
+    """Shares (P,) that came: over link `links` in run `runs`, of lane `lanes`; in order of run,
+    receiver and sender."""
+
+    runs: np.ndarray
+    links: np.ndarray
+    lanes: np.ndarray
+
+
+def came_over(links: Links, shares: Shared, arriving: np.ndarray) -> Came:
+    """Return the shares that arrive over links (R, E)."""
+    lanes = np.zeros((len(arriving), links.nodes), dtype=np.int64)
+    lanes[shares.runs, shares.nodes] = np.arange(len(shares.runs))
+    runs, over = np.nonzero(arriving)
+    return Came(runs, over, lanes[runs, links.sender[over]])
+
+
+def as_sent(base: Gaussian, number: str) -> tuple[Gaussian, np.ndarray]:
+    """Return the decoded checkpoints of bases (L, n), and which can be read (L,)."""
+    mean, packed_cov = (received(values, number) for values in (base.mean, pack_upper(base.cov)))
+    checkpoint = Gaussian(mean, unpack_upper(packed_cov))
+    return checkpoint, finite_lanes(Gaussian(mean, cholesky(checkpoint.cov)))
