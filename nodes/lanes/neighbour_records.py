@@ -1,5 +1,7 @@
-"""What all nodes know of their neighbours' records: `concord.nodes.rules.neighbour_records` in
-arrays."""
+"""Knowledge of all nodes about the records of their neighbours.
+
+It is `concord.nodes.rules.neighbour_records` in arrays.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""What a node knows of the records that its neighbours hold, by digests and by what was told."""
+"""Knowledge of a node about the records of its neighbours, by digests and by what was told."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
