@@ -24,7 +24,7 @@ from concord.experiments.design.results import (
     nearest,
 )
 from concord.experiments.design.search import Found, SearchTask, search
-from concord.experiments.design.space import placements_of, space_of
+from concord.experiments.design.space import Values, placements_of, space_of
 from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
@@ -150,13 +150,15 @@ def table(result: Design) -> Table:
         grid.add_column(field)
     unit = result.unit if result.target.reference == "unit" else f"x {result.target.reference}"
     costs = dict.fromkeys(("bytes", result.minimise))
-    for heading in (f"RMSE {unit}", "ANEES", *(COSTS[cost].heading for cost in costs), "runs"):
+    figures = ("ANEES", *(COSTS[cost].heading for cost in costs), "age bound, steps", "runs")
+    for heading in (f"RMSE {unit}", *figures):
         grid.add_column(heading, justify="right")
     for one in line:
         chosen = (_brief(one.values.get(field, "-")) for field in fields)
         spent = (f"{one.costs[cost]:.3g}" for cost in costs)
         error = f"{one.error.value:.3g} {one.error.spread()}"
-        grid.add_row(*chosen, error, f"{one.anees.value:.2f}", *spent, str(one.runs))
+        age = "none" if one.age_bound_steps is None else str(one.age_bound_steps)
+        grid.add_row(*chosen, error, f"{one.anees.value:.2f}", *spent, age, str(one.runs))
     return grid
 
 
@@ -172,7 +174,7 @@ def lines(result: Design) -> list[str]:
         f"{one.error.high:.3g} with {100 * one.confidence:.4g} % confidence: "
         f"{'meets' if one.meets else 'does not surely meet'} the target"
         for one in result.attempts
-        for command in [", ".join(f"{field} {shown(v)}" for field, v in one.values.items())]
+        for command in [_in_words(one.values)]
     ]
     if result.recommended is not None:
         values = {**result.settled, **result.recommended.values}
@@ -181,18 +183,32 @@ def lines(result: Design) -> list[str]:
             *said,
             f"recommended for {target}, sparing {result.minimise}:",
             f"  {result.recommended.command}",
+            *_preference(result.recommended),
             *_spread(result.recommended),
             *_age(result.recommended),
             *(f"warning: {warning}" for warning in result.recommended.warnings),
             f"under another seed: {again}",
         ]
     best = nearest(result)
-    words = ", ".join(f"{field} {shown(value)}" for field, value in best.values.items())
+    words = _in_words(best.values)
     interval = f"{best.error.value:.3g} ({best.error.low:.3g} to {best.error.high:.3g})"
     return [
         *said,
         f"no candidate surely meets {target}; the best reached is {interval} in {best.runs} runs: "
         f"{words}",
+    ]
+
+
+def _in_words(values: Values) -> str:
+    return ", ".join(f"{field} {shown(value)}" for field, value in values.items())
+
+
+def _preference(attempt: Attempt) -> list[str]:
+    if attempt.instead_of is None:
+        return []
+    return [
+        f"preferred to {_in_words(attempt.instead_of)}, which costs the same within the spread: "
+        "its age of information has no bound"
     ]
 
 

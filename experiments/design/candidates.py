@@ -9,7 +9,7 @@ import numpy as np
 from concord.experiments.design.space import Values
 from concord.experiments.design.target import DesignTarget, error_of
 from concord.experiments.memory import check_workers, needed_bytes
-from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.intervals import Interval, mean_t
 from concord.experiments.scenario_options import scenario_with_known
 from concord.experiments.sweep.cells import sorted_out
 from concord.experiments.sweep.pieces import Piece, compute
@@ -116,7 +116,9 @@ def with_runs(
     places: list[np.ndarray] = []
     for place, one in enumerate(candidates):
         missing = np.arange(one.runs, runs)
-        for scenario, mine in _placed(one.cell.scenario, missing, placements):
+        scenarios = placed(one.cell.scenario, placements)
+        for turn, scenario in enumerate(scenarios):
+            mine = missing[missing % len(scenarios) == turn]
             for first in range(0, len(mine), AT_ONCE):
                 some = mine[first : first + AT_ONCE]
                 start = first_run + int(some[0]) // max(1, len(placements))
@@ -145,16 +147,19 @@ def with_runs(
     return grown
 
 
-def _placed(
-    scenario: Scenario, runs: np.ndarray, placements: Sequence[Value]
-) -> list[tuple[Scenario, np.ndarray]]:
-    """The scenario with each placement, and those of the runs that have it."""
-    if not placements:
-        return [(scenario, runs)]
-    return [
-        (scenario.with_known(placement=placement)[0], runs[runs % len(placements) == place])
-        for place, placement in enumerate(placements)
-    ]
+def placed(scenario: Scenario, placements: Sequence[Value]) -> list[Scenario]:
+    """Return the scenario with the sensors at each of these placements; as it is for none."""
+    return [scenario.with_known(placement=one)[0] for one in placements] or [scenario]
+
+
+def costs_alike(cost: Cost, one: Candidate, other: Candidate) -> bool:
+    """Return whether two candidates cost the same within the spread of their runs, in bytes too."""
+    for figure in {COSTS[cost].figure, COSTS["bytes"].figure}:
+        common = min(one.runs, other.runs)
+        apart = mean_t(other.figures[figure][:common] - one.figures[figure][:common])
+        if not apart.low <= 0 <= apart.high:
+            return False
+    return True
 
 
 def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

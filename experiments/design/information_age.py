@@ -4,29 +4,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.bus.contended_bus import ContendedBus
-from concord.bus.information_age import (
-    first_newer,
-    greatest_ages_steps,
-    lags_steps,
-    worst_age_steps,
-    worst_contended_age_steps,
-)
+from concord.bus.information_age import first_newer, greatest_ages_steps, lags_steps
+from concord.experiments.design.age_bound import age_bound
 from concord.experiments.design.search import FRESH_RUN
 from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.run_figures import kept
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.record_spread import RecordSpread, in_time, record_ages
 from concord.scenarios.build import build_bus
-from concord.scenarios.labelled import flooding_of, window_of
+from concord.scenarios.labelled import window_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import arbiter_of, trigger_of
 from concord.scenarios.types.rules import FloodingRule
 
 _RUNS = 5
-_APART = "a node never hears of another"
 
 
 class InformationAge(NamedTuple):
@@ -51,7 +43,7 @@ def information_age(scenario: Scenario) -> InformationAge | None:
     if scenario.changes:
         return None
     setup = prepare(scenario)
-    bound, why = _bound(setup)
+    bound, why = age_bound(setup)
     histories = simulate(setup, range(FRESH_RUN, FRESH_RUN + _RUNS))
     spreads, lost = histories.spreads, None
     if spreads:
@@ -85,33 +77,6 @@ def _share_lag_steps(setup: Setup, histories: Histories) -> int:
         )
         observed = max(observed, int(ages.max()))
     return observed
-
-
-def _bound(setup: Setup) -> tuple[int | None, str]:
-    """Return the bound of a network, and what it follows from beside schedule and graph, or why
-    there is none."""
-    scenario, bus = setup.scenario, build_bus(setup)
-    schedule, contention = bus.schedule, scenario.bus.schedule
-    floods = isinstance(scenario.rule, FloodingRule)
-    if lossy_links(scenario):
-        return None, "links lose frames"
-    if floods and flooding_of(scenario).withhold_below > 0:
-        return None, "a node withholds readings (--withhold-below)"
-    if not any(schedule.contenders(cycle) for cycle in range(schedule.period)):
-        worst = worst_age_steps(schedule, setup.neighbours, scenario.rounds)
-        return worst, "" if worst is not None else _APART
-    if trigger_of(contention) > 0:
-        return None, "a node with little news (--trigger) is silent, however old its last share is"
-    wait = bus.longest_wait if isinstance(bus, ContendedBus) else None
-    if wait is None:
-        return None, f"a node may lose every contest with --arbiter {arbiter_of(contention)}"
-    if floods:
-        # A node without news does not ask.
-        wait = wait._replace(next_cycles=wait.first_cycles)
-    worst = worst_contended_age_steps(schedule, setup.neighbours, scenario.rounds, wait)
-    if worst is None:
-        return None, _APART
-    return worst, f"a contender wins once in {wait.next_cycles} cycles at least"
 
 
 def record_lag_steps(spread: RecordSpread) -> int:

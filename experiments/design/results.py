@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from concord.experiments.design.age_bound import bound_steps_of
 from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
 from concord.experiments.design.information_age import InformationAge, information_age
 from concord.experiments.design.search import Confirmed, Found, SearchTask, on_front
@@ -24,7 +25,8 @@ class Tried(msgspec.Struct, frozen=True):
     """A candidate: its open fields, its error as the target measures it, and what it costs.
 
     `error` and `anees` are [value, low, high] with 95 % intervals over `runs`; `front` says that no
-    other is cheaper and better.
+    other is cheaper and better. `age_bound_steps` bounds the age of information of one on the
+    front; None for no bound.
     """
 
     values: Values
@@ -33,6 +35,7 @@ class Tried(msgspec.Struct, frozen=True):
     anees: Interval
     costs: dict[Cost, float]
     front: bool
+    age_bound_steps: int | None = None
 
 
 class PlacementError(msgspec.Struct, frozen=True):
@@ -45,7 +48,8 @@ class PlacementError(msgspec.Struct, frozen=True):
 class Attempt(msgspec.Struct, frozen=True):
     """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within;
     `by_placement` where several placements were asked for; `warnings` as before a run; `age` of
-    information where it is known."""
+    information where it is known; `instead_of` a candidate that costs the same within the spread,
+    or less, and whose age has no bound."""
 
     values: Values
     runs: int
@@ -56,6 +60,7 @@ class Attempt(msgspec.Struct, frozen=True):
     by_placement: list[PlacementError] = []
     warnings: list[str] = []
     age: InformationAge | None = None
+    instead_of: Values | None = None
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,7 +97,7 @@ def design_of(task: SearchTask, found: Found, finished: bool) -> Design:
         target=target,
         unit=definition_of(scenario).score.unit,
         minimise=minimise,
-        tried=[_tried(one, target, one.cell.number in line) for one in found.candidates],
+        tried=[_tried(task, one, one.cell.number in line) for one in found.candidates],
         refused=found.refused,
         attempts=attempts,
         recommended=next((one for one in attempts if one.meets), None),
@@ -150,14 +155,15 @@ def nearest(design: Design) -> Tried:
     return min(design.tried, key=lambda one: (bool(np.isnan(one.error.value)), one.error.value))
 
 
-def _tried(one: Candidate, target: DesignTarget, front: bool) -> Tried:
+def _tried(task: SearchTask, one: Candidate, front: bool) -> Tried:
     return Tried(
         values=one.cell.values,
         runs=one.runs,
-        error=one.error(target, 0.95),
+        error=one.error(task.target, 0.95),
         anees=positive_mean_t(one.figures["anees"]),
         costs={cost: one.cost(cost)[0] for cost in COSTS},
         front=front,
+        age_bound_steps=bound_steps_of(one, task.placements) if front else None,
     )
 
 
@@ -174,6 +180,7 @@ def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
         by_placement=_by_placement(task, one.candidate),
         warnings=list(warnings_of(prepare(scenario))),
         age=information_age(scenario) if one.meets else None,
+        instead_of=None if one.instead_of is None else one.instead_of.cell.values,
     )
 
 

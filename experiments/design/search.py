@@ -7,17 +7,20 @@ meets the target. The winner's figures are biased by its selection, so the promi
 only.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
+from concord.experiments.design.age_bound import bound_steps_of
 from concord.experiments.design.candidates import (
     Candidate,
     Cost,
     RefusedCandidate,
     candidates_of,
+    costs_alike,
     with_runs,
 )
 from concord.experiments.design.space import Values, coarse_grid, neighbours_of
@@ -61,12 +64,16 @@ class SearchTask(NamedTuple):
 
 
 class Confirmed(NamedTuple):
-    """A candidate on runs that the search has not seen, and its error at that confidence."""
+    """A candidate on runs that the search has not seen, and its error at that confidence.
+
+    `instead_of` costs the same within the spread, or less; its age of information has no bound.
+    """
 
     candidate: Candidate
     error: Interval
     confidence: float
     meets: bool
+    instead_of: Candidate | None = None
 
 
 class Found(NamedTuple):
@@ -187,8 +194,13 @@ def _still_in(task: SearchTask, racing: Sequence[Candidate]) -> list[Candidate]:
     may = [one for one in racing if not errors[one.cell.number].low > target.most]
     sure = [one for one in may if errors[one.cell.number].high <= target.most]
     if sure:
-        limit = ranked(task.cost, sure)[0].cost(task.cost)
-        may = [one for one in may if one.cost(task.cost) <= limit]
+        cheapest = ranked(task.cost, sure)[0]
+        limit = cheapest.cost(task.cost)
+        may = [
+            one
+            for one in may
+            if one.cost(task.cost) <= limit or costs_alike(task.cost, cheapest, one)
+        ]
     most = max((len(racing) + 1) // 2, 2 * MOST_ON_FRONT)
     # The cheap ones that seem to meet it come first, then the nearest misses.
     meets = [one for one in may if errors[one.cell.number].value <= target.most]
@@ -206,17 +218,41 @@ def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed
     for the first, a quarter for the second, and so on.
     """
     tried: list[Confirmed] = []
-    for attempt, one in enumerate(finalists[:ATTEMPTS], start=1):
+    chosen = islice(_bounded_first(task, finalists), ATTEMPTS)
+    for attempt, (one, instead_of) in enumerate(chosen, start=1):
         risk = 0.05 / 2**attempt
         task.say(f"confirms {one.cell.name} on {task.confirm_runs} fresh runs")
         fresh = _with_runs(task, [one._replace(figures={})], task.confirm_runs, FRESH_RUN)[0]
         # A two-sided interval that leaves out `risk` above.
         error = fresh.error(task.target, 1 - 2 * risk)
         meets = error.high <= task.target.most and task.limits.excess(fresh.figures) is None
-        tried.append(Confirmed(fresh, error, 1 - risk, meets))
+        tried.append(Confirmed(fresh, error, 1 - risk, meets, instead_of))
         if meets:
             break
     return tried
+
+
+def _bounded_first(
+    task: SearchTask, by_cost: Sequence[Candidate]
+) -> Iterator[tuple[Candidate, Candidate | None]]:
+    """Yield candidates, the cheapest first, and the one before which each is preferred.
+
+    Of candidates that cost the same within the spread, one whose age of information has a bound is
+    preferred.
+    """
+    left = list(by_cost)
+    while left:
+        place = next(
+            (
+                place
+                for place, one in enumerate(left)
+                if costs_alike(task.cost, left[0], one)
+                and bound_steps_of(one, task.placements) is not None
+            ),
+            0,
+        )
+        yield left[place], left[0] if place else None
+        del left[place]
 
 
 def _comparable(value: float) -> float:

@@ -1,5 +1,6 @@
 """The search of a design on landscapes whose optimum is known; and once for real."""
 
+import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -8,9 +9,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from rich.console import Console
 
 from concord.bus.schedule import publishers_per_cycle
 from concord.experiments.__main__ import main
+from concord.experiments.cli.design import lines, table
 from concord.experiments.design.candidates import Cost, candidates_of
 from concord.experiments.design.results import design_of, nearest, read_design
 from concord.experiments.design.search import FRESH_RUN, Found, SearchTask, search
@@ -127,6 +130,41 @@ def test_every_run_of_a_search_is_in_its_progress():
         assert done == sorted(done) and done[-1:] == ([total] if total else [])
     tried = [*found.candidates, *(one.candidate for one in found.confirmed)]
     assert sum(total for total, _ in told) == sum(one.runs for one in tried)
+
+
+@pytest.mark.parametrize(("dearer", "preferred"), [(0.01, "urgency"), (5.0, "wtod")])
+def test_of_equal_costs_the_one_with_a_bounded_age_comes_first(dearer: float, preferred: str):
+    """An ideal arbiter may never serve a node; urgency classes serve each of them."""
+    asked = {
+        **ASKED, "graph": "complete", "rule": "ci", "rounds": "1", "occupancy": ".5",
+        "schedule": "dynamic", "arbiter": "wtod,urgency", "number": "float64",
+    }  # fmt: skip
+
+    def figures(piece: Piece) -> dict[str, np.ndarray]:
+        arbiter = flat(msgspec.json.decode(piece.scenario, type=Scenario))["arbiter"]
+        swing = (-1.0) ** np.arange(piece.first, piece.last)
+        sent = 100 + (dearer + swing if arbiter == "urgency" else -swing)
+        return {"bytes_per_step": sent, "rmse": np.ones(piece.runs)}
+
+    settled, space = space_of(specify(asked))
+    target = parse_target("2x-centralised")
+    task = SearchTask(target, "bytes", settled, space, 31, engine_of(figures), 1, lambda _: None)
+    found = search(task, [], [])
+    by_cost = {str(one.cell.values["arbiter"]): one for one in found.candidates}
+    apart = by_cost["urgency"].cost("bytes")[0] - by_cost["wtod"].cost("bytes")[0]
+    assert apart > 0, "the one without a bound is the cheaper one"
+    design = design_of(task, found, True)
+    assert design.recommended is not None
+    assert design.recommended.values == {"arbiter": preferred}
+    was = {"arbiter": "wtod"} if preferred == "urgency" else None
+    assert design.recommended.instead_of == was
+    bounds = {str(one.values["arbiter"]): one.age_bound_steps for one in design.tried if one.front}
+    assert bounds["wtod"] is None
+    said = "\n".join(lines(design))
+    assert ("preferred to arbiter wtod, which costs the same" in said) == (was is not None)
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(table(design))
+    assert "none" in console.export_text()
 
 
 def test_other_costs_have_other_winners():
