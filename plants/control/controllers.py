@@ -42,11 +42,10 @@ class StateFeedback:
 
 @dataclass(frozen=True, eq=False)
 class IntegralFeedback:
-    """u = -K x - K_z z, clipped to [-limit, limit], where z sums (C x - r) over time.
+    """u = -K x - K_z z, where z sums (C x - r) over time.
 
     gain: K (p, n); integral_gain: K_z (p, r); output_row: C (r, n); signal: step -> (r,).
-    The memory (..., r) is z, in output units times seconds. Nothing stops z from growing while
-    the control is clipped (no anti-windup).
+    The memory (..., r) is z, in output units times seconds.
     """
 
     gain: np.ndarray
@@ -54,7 +53,6 @@ class IntegralFeedback:
     output_row: np.ndarray
     time_step_s: float
     signal: Signal
-    limit: float = np.inf
 
     @property
     def initial_memory(self) -> np.ndarray:
@@ -69,7 +67,7 @@ class IntegralFeedback:
         """Estimate (..., n) and integral (..., r) to control (..., p) and the next integral."""
         wanted = -state_estimate @ self.gain.T - memory @ self.integral_gain.T
         error = state_estimate @ self.output_row.T - self.signal(step)
-        return np.clip(wanted, -self.limit, self.limit), memory + self.time_step_s * error
+        return wanted, memory + self.time_step_s * error
 
 
 class Compensator(NamedTuple):
@@ -86,7 +84,7 @@ class Compensator(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OutputFeedback:
-    """A classical controller: a compensator fed with e = r - C x, clipped to [-limit, limit].
+    """A classical controller: a compensator fed with e = r - C x.
 
     output_row: C (1, n); signal: step -> (1,). The memory (..., m) is the compensator's state.
     """
@@ -94,7 +92,6 @@ class OutputFeedback:
     compensator: Compensator
     output_row: np.ndarray
     signal: Signal
-    limit: float = np.inf
 
     @property
     def initial_memory(self) -> np.ndarray:
@@ -110,4 +107,4 @@ class OutputFeedback:
         a, b, c, d = self.compensator
         error = self.signal(step) - state_estimate @ self.output_row.T
         wanted = memory @ c.T + error @ d.T
-        return np.clip(wanted, -self.limit, self.limit), memory @ a.T + error @ b.T
+        return wanted, memory @ a.T + error @ b.T

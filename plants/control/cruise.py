@@ -60,10 +60,10 @@ def cruise(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
     return linear_plant(continuous, TIME_STEP_S, choose(noise, matched, paper))
 
 
-def cruise_controller(limit_n: float = np.inf) -> StateFeedback:
+def cruise_controller() -> StateFeedback:
     """Return the paper's pole -1.5, placed at exp(-1.5 t), following REFERENCE.
 
     Unlimited it starts with 15 kN. The paper's "nominal" 500 N is the open-loop value for 10 m/s;
     as a limit it leaves the car at 7.8 m/s after 30 s.
     """
-    return placed_feedback(dynamics(), TIME_STEP_S, POLES, REFERENCE, limit_n)
+    return placed_feedback(dynamics(), TIME_STEP_S, POLES, REFERENCE)

@@ -123,7 +123,6 @@ def placed_feedback(
     time_step_s: float,
     poles: Sequence[complex],
     signal: Signal,
-    limit: float = np.inf,
 ) -> StateFeedback:
     """State feedback that puts the sampled poles at exp(p t) for the poles p of the s-plane.
 
@@ -132,4 +131,4 @@ def placed_feedback(
     transition, control_matrix = continuous.sampled(time_step_s)
     sampled_poles = np.exp(np.asarray(poles) * time_step_s)
     gain = pole_placement(transition, control_matrix, list(sampled_poles))
-    return continuous_gain_feedback(continuous, time_step_s, gain, signal, limit)
+    return continuous_gain_feedback(continuous, time_step_s, gain, signal)

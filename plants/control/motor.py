@@ -145,11 +145,11 @@ def _motor(
     return linear_plant(continuous, TIME_STEP_S, choose(noise, matched, paper))
 
 
-def motor_speed_controller(limit_v: float = np.inf) -> StateFeedback:
+def motor_speed_controller() -> StateFeedback:
     """Return the paper's poles -5 +- i, placed at exp(p t), following REFERENCE in rad/s."""
-    return placed_feedback(speed_dynamics(), TIME_STEP_S, SPEED_POLES, REFERENCE, limit_v)
+    return placed_feedback(speed_dynamics(), TIME_STEP_S, SPEED_POLES, REFERENCE)
 
 
-def motor_position_controller(limit_v: float = np.inf) -> StateFeedback:
+def motor_position_controller() -> StateFeedback:
     """Poles -5 +- i and -15, placed at exp(p t), following REFERENCE in rad."""
-    return placed_feedback(position_dynamics(), TIME_STEP_S, POSITION_POLES, REFERENCE, limit_v)
+    return placed_feedback(position_dynamics(), TIME_STEP_S, POSITION_POLES, REFERENCE)

@@ -64,8 +64,8 @@ def pitch(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
     return linear_plant(continuous, TIME_STEP_S, choose(noise, matched, paper))
 
 
-def pitch_controller(limit_rad: float = np.inf) -> StateFeedback:
+def pitch_controller() -> StateFeedback:
     """The paper's LQR with p = 50. Unlimited it deflects the elevator by 7 times the reference."""
     continuous = dynamics()
     gain = lqr_gain(continuous, OUTPUT_WEIGHT)
-    return continuous_gain_feedback(continuous, TIME_STEP_S, gain, REFERENCE, limit_rad)
+    return continuous_gain_feedback(continuous, TIME_STEP_S, gain, REFERENCE)

@@ -102,10 +102,10 @@ def suspension(
     )
 
 
-def suspension_controller(limit_n: float = np.inf) -> IntegralFeedback:
+def suspension_controller() -> IntegralFeedback:
     """u = -K x - K_z (integral of y1), to hold y1 at 0; unlimited it takes 1.5 MN.
 
     No precompensation: with the integral in the state [A, B; C, 0] is singular.
     """
     row = dynamics().output_row
-    return IntegralFeedback(GAIN, INTEGRAL_GAIN, row, TIME_STEP_S, constant(0.0), limit_n)
+    return IntegralFeedback(GAIN, INTEGRAL_GAIN, row, TIME_STEP_S, constant(0.0))

@@ -93,11 +93,10 @@ def output_feedback(
     time_step_s: float,
     controller: Rational,
     signal: Signal,
-    limit: float = np.inf,
 ) -> OutputFeedback:
     """The sampled controller around the plant's controlled output; see sampled_compensator."""
     compensator = sampled_compensator(controller, time_step_s)
-    return OutputFeedback(compensator, continuous.output_row, signal, limit)
+    return OutputFeedback(compensator, continuous.output_row, signal)
 
 
 def root_locus(loop: Rational, gains: np.ndarray) -> np.ndarray:
