@@ -48,8 +48,8 @@ class PlacementError(msgspec.Struct, frozen=True):
 class Attempt(msgspec.Struct, frozen=True):
     """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within;
     `by_placement` where several placements were asked for; `warnings` as before a run; `age` of
-    information where it is known; `instead_of` a candidate that costs the same within the spread,
-    or less, and whose age has no bound."""
+    information where it is known. The candidate `instead_of` costs the same within the spread, or
+    less; its age has no bound."""
 
     values: Values
     runs: int
