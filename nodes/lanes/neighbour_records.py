@@ -1,6 +1,6 @@
 """Knowledge of all nodes about the records of their neighbours.
 
-It is `concord.nodes.rules.neighbour_records` in arrays.
+It is `NeighbourRecords` of `concord.nodes.rules.record_choice` in arrays.
 """
 
 from dataclasses import dataclass

@@ -20,8 +20,12 @@ from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.kept_records import KeptRecords, nothing_kept
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec, LabelledShare
 from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names
-from concord.nodes.rules.neighbour_records import NeighbourRecords, nothing_known, overhearing
-from concord.nodes.rules.record_choice import RecordChoice
+from concord.nodes.rules.record_choice import (
+    NeighbourRecords,
+    RecordChoice,
+    nothing_known,
+    overhearing,
+)
 from concord.nodes.rules.record_sets import SILENCE, URGENCY, RecordSets, digest_of
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
