@@ -27,7 +27,12 @@ from concord.nodes.run_controller import Scripted
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import arbiter_names, build_schedule
 from concord.scenarios.equipment import equipment_of
-from concord.scenarios.preparation import complete_settings, prepare, with_settings
+from concord.scenarios.preparation import (
+    complete_settings,
+    prepare,
+    scripted_settings,
+    with_settings,
+)
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
@@ -102,7 +107,7 @@ def is_harmless(scenario: Scenario) -> bool:
     watched = all(fault.numbers[0] for fault in faults if fault.kind == "guardian")
     if "babble" in kinds:
         is_guarded = watched and "guardian" in kinds[: kinds.index("babble")]
-        if not (is_guarded and _owns_every_slot(scenario, script)):
+        if not (is_guarded and _owns_every_slot(scenario)):
             return False
     channels = {fault.nodes for fault in faults if fault.kind == "channel"}
     if channels and not _is_redundant(scenario):
@@ -115,16 +120,11 @@ def _is_redundant(scenario: Scenario) -> bool:
     return not isinstance(scenario.bus, FlexRay) or scenario.bus.channels == ALL_CHANNELS
 
 
-def _owns_every_slot(scenario: Scenario, script: tuple[Scripted, ...]) -> bool:
+def _owns_every_slot(scenario: Scenario) -> bool:
     """Return whether no node ever contends for a slot: a guardian then knows each sender."""
     setup = prepare(scenario)
-    settings: Settings = {}
-    found = [contends(setup, settings)]
-    for _, command in script:
-        if isinstance(command, Configure):
-            settings = complete_settings(setup, settings, command.settings)
-            found.append(contends(setup, settings))
-    return not any(found)
+    later = (settings for _, settings in scripted_settings(setup))
+    return not any(contends(setup, settings) for settings in ({}, *later))
 
 
 def contends(setup: Setup, settings: Settings) -> bool:
