@@ -121,8 +121,7 @@ def node_s(setup: Setup, messages: Messages, cold: bool) -> float:
     """Seconds per step of a node as it is."""
     memory = recorded_network(setup.neighbours[NODE], messages, cold)
     links = ZenohEndpoints("peer", (), ())
-    peers = setup.neighbours[NODE]
-    membership = Membership("memory", links, build_node(setup, NODE), peers, "")
+    membership = Membership("memory", links, build_node(setup, NODE), "")
     with patch.object(lockstep, "Transport", lambda *_: memory):
         run_node(membership, lockstep.LockstepNode(membership))
     return memory.spent_s / STEPS

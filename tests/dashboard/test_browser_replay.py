@@ -300,6 +300,7 @@ def test_choices(page: Page):
     page.until(lambda: page.dashboard.view.order == "number")
 
 
+@pytest.mark.usefixtures("_slowly")
 def test_keys(page: Page):
     page.key("n")
     page.until(lambda: page.text("step") == "31")
