@@ -17,6 +17,7 @@ import numpy as np
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import Backward, smooth, smooth_with_lags
+from concord.nodes.rules.labelled.window_smoother import way_back
 from concord.nodes.rules.local_filter import (
     LocalFilters,
     Memory,
@@ -25,7 +26,6 @@ from concord.nodes.rules.local_filter import (
     update_with_readings,
     where,
 )
-from concord.nodes.rules.window_smoother import way_back
 from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.moves import with_scripted_moves

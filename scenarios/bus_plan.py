@@ -35,7 +35,7 @@ from concord.bus.schedule import (
 )
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.nodes.bids import BIDS_FOR_CHANGE
-from concord.nodes.rules.record_sets import bids_for_records
+from concord.nodes.rules.labelled.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import (

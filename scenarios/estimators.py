@@ -30,16 +30,16 @@ from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
-from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.labelled_check import SelfCheckedFlooding
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec
-from concord.nodes.rules.labelled_past import SmoothingFlooding
+from concord.nodes.rules.labelled.checked import SelfCheckedFlooding
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledFrameCodec
+from concord.nodes.rules.labelled.smoothing import SmoothingFlooding
+from concord.nodes.rules.labelled.window_filter import WindowFilter
+from concord.nodes.rules.labelled.window_sets import WindowSets
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.nodes.rules.set_membership import SetAtNode
-from concord.nodes.rules.window_filter import WindowFilter
-from concord.nodes.rules.window_sets import WindowSets
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.labelled import choice_of, flooding_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext

@@ -8,7 +8,7 @@ import numpy as np
 from concord.bus.schedule import publishers_per_cycle
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.commands import Restart
-from concord.nodes.rules.labelled_frame import (
+from concord.nodes.rules.labelled.frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
@@ -16,8 +16,8 @@ from concord.nodes.rules.labelled_frame import (
     labelled_bytes,
     least_limit,
 )
-from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_codec import PACKED, reading_bytes, record_codec
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_codec import PACKED, reading_bytes, record_codec
 from concord.scenarios.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links

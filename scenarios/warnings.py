@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from concord.nodes.messages import from_wire
-from concord.nodes.rules.labelled_frame import MAX_WINDOW_STEPS
+from concord.nodes.rules.labelled.frame import MAX_WINDOW_STEPS
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of

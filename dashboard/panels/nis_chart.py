@@ -4,7 +4,7 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.panels.chart import Chart, Line, Sample, of_frames
-from concord.nodes.rules.self_check import chi_square_bound
+from concord.nodes.rules.labelled.self_check import chi_square_bound
 
 _TAILS = (0.025, 0.975)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected
 from concord.nodes.faults.losses import LinkState, hears_all
-from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.scenarios.build import build_node
 from concord.scenarios.links import link_state
 from concord.scenarios.setup import Setup

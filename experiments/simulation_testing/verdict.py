@@ -201,7 +201,7 @@ def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) ->
 
 
 def _clings(run: EstimateHistory, calm: EstimateHistory, level: slice) -> bool:
-    """Whether a node averages in, for good, a share from before calm that no calm node has.
+    """Whether a node keeps a share from before calm, as none does where nothing was wrong.
 
     A neighbour that wins no slot among all nodes wins one while others are out. Policy `predict`
     gives its last share full weight ever after, which costs what that share no longer knows.

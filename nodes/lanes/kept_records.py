@@ -1,4 +1,4 @@
-"""Records that the nodes of all runs keep: `concord.nodes.rules.kept_records` in arrays.
+"""Records that the nodes of all runs keep: `concord.nodes.rules.labelled.kept_records` in arrays.
 
 All nodes begin at the same step here, so windows have the same steps everywhere, and all copies of
 a record are alike.
@@ -12,7 +12,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.filter import Counters, added
 from concord.nodes.lanes.labelled_shares import Came, Shared
 from concord.nodes.lanes.links import Links
-from concord.nodes.rules.record_sets import (
+from concord.nodes.rules.labelled.record_sets import (
     RecordSets,
     first_places,
     flags_of,
@@ -21,7 +21,7 @@ from concord.nodes.rules.record_sets import (
     one_step_on,
     packed,
 )
-from concord.nodes.rules.window_filter import (
+from concord.nodes.rules.labelled.window_filter import (
     WindowFilter,
     Windows,
     fuse_base,

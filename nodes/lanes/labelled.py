@@ -1,7 +1,7 @@
 """The rule `labelled` in arrays: `concord.nodes.rules.labelled` at all nodes of all runs at once.
 
 Both choose their records and filter their windows by the same functions
-(`concord.nodes.rules.record_choice`, `concord.nodes.rules.window_filter`).
+(`concord.nodes.rules.labelled.record_choice`, `concord.nodes.rules.labelled.window_filter`).
 """
 
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ from concord.nodes.lanes.labelled_shares import Came, Shared, as_sent, came_over
 from concord.nodes.lanes.links import Links
 from concord.nodes.lanes.neighbour_records import BatchedNeighbourRecords, Neighbourhoods
 from concord.nodes.lanes.network import ShareContents
-from concord.nodes.rules.labelled import GAP_STEPS
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.labelled.flooding import GAP_STEPS
+from concord.nodes.rules.labelled.frame import LabelledFrameCodec
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY, RecordSets
+from concord.nodes.rules.labelled.source_gate import judged
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.local_filter import SensorGroup
-from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_sets import SILENCE, URGENCY, RecordSets
-from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 
 class BatchedLabelledContent(NamedTuple):
-    """Knowledge of all nodes; `concord.nodes.rules.labelled.LabelledContent` in arrays.
+    """Knowledge of all nodes; `concord.nodes.rules.labelled.flooding.LabelledContent` in arrays.
 
     owed: (R, N). sent_cycle: (R, N). carried: of the step, without what is held.
     """
@@ -52,7 +52,7 @@ class BatchedLabelledContent(NamedTuple):
 @dataclass(frozen=True)
 class BatchedFlooding:
     """All nodes of a network; the fields are those of
-    `concord.nodes.rules.labelled.LabelledFlooding`."""
+    `concord.nodes.rules.labelled.flooding.LabelledFlooding`."""
 
     own: tuple[SensorGroup, ...]
     filter: WindowFilter

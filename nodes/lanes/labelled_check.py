@@ -1,4 +1,4 @@
-"""`concord.nodes.rules.labelled_check` at all nodes of all runs at once."""
+"""`concord.nodes.rules.labelled.checked` at all nodes of all runs at once."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.filter import added
 from concord.nodes.lanes.labelled import BatchedFlooding, BatchedLabelledContent
 from concord.nodes.lanes.labelled_shares import Came, Shared
-from concord.nodes.rules.record_sets import RecordSets
-from concord.nodes.rules.self_check import ASKING, is_suspect, trusting
+from concord.nodes.rules.labelled.record_sets import RecordSets
+from concord.nodes.rules.labelled.self_check import ASKING, is_suspect, trusting
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
-"""`concord.nodes.rules.labelled_past` at all nodes of all runs at once."""
+"""`concord.nodes.rules.labelled.smoothing` at all nodes of all runs at once."""
 
 from dataclasses import dataclass
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.labelled import BatchedLabelledContent
 from concord.nodes.lanes.labelled_check import BatchedSelfChecked
-from concord.nodes.rules.window_smoother import smoothed_past
+from concord.nodes.rules.labelled.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)

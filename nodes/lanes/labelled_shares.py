@@ -8,8 +8,8 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, pack_upper, unpack_upper
 from concord.nodes.lanes.filter import received
 from concord.nodes.lanes.links import Links
+from concord.nodes.rules.labelled.record_sets import RecordSets
 from concord.nodes.rules.local_filter import finite_lanes
-from concord.nodes.rules.record_sets import RecordSets
 
 
 class Shared(NamedTuple):

@@ -1,6 +1,6 @@
 """Knowledge of all nodes about the records of their neighbours.
 
-It is `NeighbourRecords` of `concord.nodes.rules.record_choice` in arrays.
+This is `concord.nodes.rules.labelled.neighbour_records` in arrays.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ import numpy as np
 
 from concord.nodes.lanes.labelled_shares import Came, Shared
 from concord.nodes.lanes.links import Links, Padded, neighbourhoods, overhearing
-from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_sets import RecordSets, joined, no_records, one_step_on
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_sets import RecordSets, joined, no_records, one_step_on
 
 
 class BatchedNeighbourRecords(NamedTuple):

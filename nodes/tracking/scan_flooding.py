@@ -18,10 +18,10 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.tracking.tracker import Tracked
 from concord.filters.tracking.tracks import Tracks, number_of_targets, report
 from concord.nodes.messages import Measured, ReportedTracks
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
-from concord.nodes.rules.labelled_frame import LabelledShare
+from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledShare
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.lane_rule import Failures
-from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 StepRecords = tuple[tuple[int, bytes], ...]
 """(source, record) of a step, sources ascending."""

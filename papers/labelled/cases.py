@@ -18,7 +18,7 @@ from concord.nodes.faults.losses import Outage
 from concord.nodes.lanes.links import links_of
 from concord.nodes.messages import Measured
 from concord.nodes.node import NodeConfig
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
 from concord.runtime import in_process
 from concord.runtime.batched import driver as batched
 from concord.runtime.batched.build import build_network

@@ -10,7 +10,7 @@ from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.nodes.faults.losses import LinkState, hears
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
 from concord.papers.labelled.record_search import Held, reachable, winners_of
 from concord.runtime import in_process
 from concord.runtime.drivers import in_memory

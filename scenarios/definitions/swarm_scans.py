@@ -14,8 +14,8 @@ from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import Links
 from concord.nodes.lanes.scans import BatchedScanFlooding
 from concord.nodes.rules.all_sensors import AllSensors
-from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec, labelled_bytes, least_limit
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledFrameCodec, labelled_bytes, least_limit
 from concord.nodes.tracking.scan_codec import ScanCodec, scan_codec
 from concord.nodes.tracking.scan_flooding import (
     KeptTracks,

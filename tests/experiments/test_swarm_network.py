@@ -18,7 +18,7 @@ from concord.filters.tracking.tracks import Tracks, no_tracks
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import MalformedMessage, Measured, decode
 from concord.nodes.node_state import NodeConfig
-from concord.nodes.rules.labelled_frame import LabelledShare
+from concord.nodes.rules.labelled.frame import LabelledShare
 from concord.nodes.tracking.scan_flooding import (
     KeptTracks,
     Reached,

@@ -32,7 +32,7 @@ def no_import_circles(sources: Sequence[Source]) -> Iterator[str]:
 
 def folders_are_small(sources: Sequence[Source]) -> Iterator[str]:
     """Refuse folders with too many files."""
-    counts = Counter(file.path.parent for file in sources if file.path.name != "__init__.py")
+    counts = Counter(file.path.parent for file in sources)
     for folder, count in sorted(counts.items()):
         if count > MOST_FILES:
             yield f"{folder}/: {count} files, at most {MOST_FILES}; sort them into folders"

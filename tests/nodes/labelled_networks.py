@@ -15,12 +15,12 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.messages import Measured, decode, from_wire
 from concord.nodes.rules.all_sensors import AllSensors
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledFrameCodec
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_codec import RecordCodec
+from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import SensorGroup
-from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_codec import RecordCodec
-from concord.nodes.rules.window_filter import WindowFilter
 from concord.papers.labelled import record_search
 from concord.papers.labelled.record_search import Held
 from concord.runtime.in_process import Link

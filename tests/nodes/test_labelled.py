@@ -14,9 +14,9 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import Rejected
 from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import Measured
-from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.labelled_frame import LabelledShare
-from concord.nodes.rules.record_codec import RecordCodec
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledShare
+from concord.nodes.rules.labelled.record_codec import RecordCodec
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,

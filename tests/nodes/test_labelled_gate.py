@@ -8,7 +8,7 @@ import numpy as np
 from concord.bus.schedule import full_publish
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured
-from concord.nodes.rules.source_gate import without_outliers
+from concord.nodes.rules.labelled.source_gate import without_outliers
 from tests.nodes.labelled_networks import PRIOR, kalman, labelled, lone, taken
 from tests.nodes.networks import WholeState, path, run
 

@@ -9,9 +9,9 @@ from scipy import stats
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
-from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from concord.nodes.rules.record_codec import PACKED, RecordCodec, record_codec
-from concord.nodes.rules.record_sets import packed
+from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, LabelledShare
+from concord.nodes.rules.labelled.record_codec import PACKED, RecordCodec, record_codec
+from concord.nodes.rules.labelled.record_sets import packed
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from concord.nodes.rules.record_choice import RecordChoice
-from concord.nodes.rules.record_sets import (
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_sets import (
     flags_of,
     newest_first,
     no_records,

@@ -17,11 +17,11 @@ from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.labelled_check import BatchedSelfChecked
-from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.labelled_check import SelfCheckedFlooding
-from concord.nodes.rules.record_sets import SILENCE, URGENCY
-from concord.nodes.rules.self_check import SUSPECT, chi_square_bound
-from concord.nodes.rules.window_filter import Windows
+from concord.nodes.rules.labelled.checked import SelfCheckedFlooding
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
+from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY
+from concord.nodes.rules.labelled.self_check import SUSPECT, chi_square_bound
+from concord.nodes.rules.labelled.window_filter import Windows
 from concord.runtime.drivers import in_memory
 from concord.scenarios import estimators
 from concord.scenarios.build import build_node

@@ -6,8 +6,8 @@ import pytest
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
-from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.window_sets import WindowSets
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
+from concord.nodes.rules.labelled.window_sets import WindowSets
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario

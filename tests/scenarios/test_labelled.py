@@ -12,7 +12,7 @@ from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.bus_report import SentShares, wire_per_step
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.scenario_options import scenario_of
-from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.papers.labelled.cases import FaultCase, runs_of_case
 from concord.papers.labelled.exact import EVERYTHING, FULL_INFORMATION, audit, full_information
 from concord.papers.labelled.exact_section import NETWORKS, exact_section

@@ -16,9 +16,9 @@ from concord.filters.fusion.determinant_intersection import determinant_intersec
 from concord.filters.gaussian import Gaussian
 from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
+from concord.nodes.rules.labelled.record_codec import RecordForm
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
-from concord.nodes.rules.record_codec import RecordForm
 
 
 class Windows(NamedTuple):

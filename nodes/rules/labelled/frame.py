@@ -22,8 +22,8 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
-from concord.nodes.rules.record_codec import RecordForm
-from concord.nodes.rules.record_sets import RecordSets
+from concord.nodes.rules.labelled.record_codec import RecordForm
+from concord.nodes.rules.labelled.record_sets import RecordSets
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255

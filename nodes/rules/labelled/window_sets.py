@@ -14,6 +14,7 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.sets.ellipsoid import Ellipsoid
 from concord.filters.sets.joint_noise import JointMotion, LinearReadings, joined
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.lane_rule import LocalStep
 from concord.nodes.rules.local_filter import LocalFilters, where
 from concord.nodes.rules.set_membership import (
@@ -24,7 +25,6 @@ from concord.nodes.rules.set_membership import (
     take_readings,
 )
 from concord.nodes.rules.set_shapes import Ellipsoids, relative_size
-from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 # A checkpoint that makes a base smaller by less adds nothing; rounding alone does not decide.
 _LEAST_GAIN = 1e-6

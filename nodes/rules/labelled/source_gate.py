@@ -12,6 +12,7 @@ import numpy as np
 from concord.filters.divergence import kullback_leibler
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import (
     Sensor,
@@ -20,7 +21,6 @@ from concord.nodes.rules.local_filter import (
     update_with_reading,
     where,
 )
-from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 
 def judged(

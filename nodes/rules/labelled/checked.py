@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
-from concord.nodes.rules.labelled_frame import LabelledShare
-from concord.nodes.rules.self_check import ASKING, is_suspect, trusting
-from concord.nodes.rules.window_filter import one_lane
+from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled.frame import LabelledShare
+from concord.nodes.rules.labelled.self_check import ASKING, is_suspect, trusting
+from concord.nodes.rules.labelled.window_filter import one_lane
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,18 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import Measured, from_wire
-from concord.nodes.rules.kept_records import KeptRecords, nothing_kept
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec, LabelledShare
-from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names
-from concord.nodes.rules.record_choice import (
+from concord.nodes.rules.labelled.frame import LabelledFrameCodec, LabelledShare
+from concord.nodes.rules.labelled.kept_records import KeptRecords, nothing_kept
+from concord.nodes.rules.labelled.neighbour_records import (
     NeighbourRecords,
-    RecordChoice,
     nothing_known,
     overhearing,
 )
-from concord.nodes.rules.record_sets import SILENCE, URGENCY, RecordSets, digest_of
-from concord.nodes.rules.source_gate import judged
-from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane, steps_late
+from concord.nodes.rules.labelled.record_choice import RecordChoice
+from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY, RecordSets, digest_of
+from concord.nodes.rules.labelled.source_gate import judged
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows, one_lane, steps_late
+from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names
 
 GAP_STEPS = 16  # of silence, after which a neighbour is owed a checkpoint
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.rules.labelled_frame import Labelled
-from concord.nodes.rules.lane_rule import Failures
-from concord.nodes.rules.record_sets import (
+from concord.nodes.rules.labelled.frame import Labelled
+from concord.nodes.rules.labelled.record_sets import (
     RecordSets,
     newest_first,
     no_records,
@@ -16,7 +15,8 @@ from concord.nodes.rules.record_sets import (
     packed,
     with_record,
 )
-from concord.nodes.rules.window_filter import WindowFilter, Windows, fuse_base, one_lane
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows, fuse_base, one_lane
+from concord.nodes.rules.lane_rule import Failures
 
 
 class KeptRecords(NamedTuple):

@@ -12,7 +12,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from concord.nodes.rules.window_filter import Windows
+from concord.nodes.rules.labelled.window_filter import Windows
 
 SUSPECT = 1e-3
 """Probability at which a sound node calls itself suspect."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.rules.labelled import LabelledContent
-from concord.nodes.rules.labelled_check import SelfCheckedFlooding
-from concord.nodes.rules.window_smoother import smoothed_past
+from concord.nodes.rules.labelled.checked import SelfCheckedFlooding
+from concord.nodes.rules.labelled.flooding import LabelledContent
+from concord.nodes.rules.labelled.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""The rule `labelled`: measurements travel, each labelled by its source and step."""
