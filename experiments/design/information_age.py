@@ -1,5 +1,6 @@
 """The age of information in a recommended network: its bound, and what fresh runs show."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from concord.scenarios.labelled import window_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import withdraws
 from concord.scenarios.types.rules import FloodingRule
 
 _RUNS = 5
@@ -39,7 +41,7 @@ class InformationAge(NamedTuple):
 
 def information_age(scenario: Scenario) -> InformationAge | None:
     """Return the age of a network; None where runs do not show it: the network changes, or links
-    lose the frames of a rule that averages."""
+    lose the frames of a rule that averages, or its shares may be cut."""
     if scenario.changes:
         return None
     setup = prepare(scenario)
@@ -50,7 +52,7 @@ def information_age(scenario: Scenario) -> InformationAge | None:
         observed = max(map(record_lag_steps, spreads))
         arrived = np.concatenate([in_time(one) for one in spreads])
         lost = 1 - float(arrived.mean()) if arrived.size else None
-    elif lossy_links(scenario):
+    elif lossy_links(scenario) or not withdraws(scenario.bus):
         return None
     else:
         observed = _share_lag_steps(setup, histories)
@@ -63,6 +65,21 @@ def information_age(scenario: Scenario) -> InformationAge | None:
             why = f"a record that leaves its window of {window} steps is lost"
             bound, why = window - 1, f"{why} (schedule and graph allow {alone})"
     return InformationAge(bound, observed, why, lost)
+
+
+def worst_age(scenarios: Sequence[Scenario]) -> InformationAge | None:
+    """Return the age of a network that must bear all of these, such as placements of its sensors;
+    None where that of one is not known."""
+    ages = [information_age(one) for one in scenarios]
+    known = [one for one in ages if one is not None]
+    if len(known) < len(ages):
+        return None
+    worst = max(known, key=lambda one: np.inf if one.bound_steps is None else one.bound_steps)
+    lost = [one.lost for one in known if one.lost is not None]
+    return worst._replace(
+        observed_steps=max(one.observed_steps for one in known),
+        lost=float(np.mean(lost)) if lost else None,
+    )
 
 
 def _share_lag_steps(setup: Setup, histories: Histories) -> int:

@@ -7,8 +7,14 @@ import msgspec
 import numpy as np
 
 from concord.experiments.design.age_bound import bound_steps_of
-from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
-from concord.experiments.design.information_age import InformationAge, information_age
+from concord.experiments.design.candidates import (
+    COSTS,
+    Candidate,
+    Cost,
+    RefusedCandidate,
+    placed,
+)
+from concord.experiments.design.information_age import InformationAge, worst_age
 from concord.experiments.design.search import Confirmed, Found, SearchTask, on_front
 from concord.experiments.design.space import Values
 from concord.experiments.design.target import DesignTarget, error_of
@@ -179,7 +185,7 @@ def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
         command=command_for("run", values),
         by_placement=_by_placement(task, one.candidate),
         warnings=list(warnings_of(prepare(scenario))),
-        age=information_age(scenario) if one.meets else None,
+        age=worst_age(placed(scenario, task.placements)) if one.meets else None,
         instead_of=None if one.instead_of is None else one.instead_of.cell.values,
     )
 
