@@ -65,6 +65,8 @@ class Arbiter(NamedTuple):
             not in the only one that it has.
         withdraws: hosts count the shares of a cycle and withdraw their requests when as many were
             sent as the schedule lets into it; otherwise the bus sends whatever fits.
+        cuts: hosts leave a share of several frames in their buffers that does not fit whole: the
+            bus sends its first frames.
         is_ideal: no controller awards slots in this order; a run says so.
         last_contest: how long a contender waits at most.
     """
@@ -73,6 +75,7 @@ class Arbiter(NamedTuple):
     overtakes: bool = True
     by_class: bool = False
     withdraws: bool = True
+    cuts: bool = False
     is_ideal: bool = True
     last_contest: LastContest = never
 

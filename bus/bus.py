@@ -110,11 +110,20 @@ class FrameFormat(NamedTuple):
 
 class Awards(NamedTuple):
     """Result of a contest: the arbiter's state, the winners (..., C) of the contenders, and the
-    urgency class (..., C) in which each asked; 0 where a node has one frame ID."""
+    urgency class (..., C) in which each asked; 0 where a node has one frame ID. `cut` (..., C): so
+    many frames of a share are sent that does not fit whole; None where no host lets that happen."""
 
     state: ArbiterState
     wins: NDArray[np.bool_]
     classes: NDArray[np.int64]
+    cut: NDArray[np.int64] | None = None
+
+    def cut_shares(self, nodes: Sequence[int]) -> list[tuple[int, int, int]]:
+        """Return node, frames and class of each share that is cut, of these contenders (C,)."""
+        if self.cut is None:
+            return []
+        frames, classes = self.cut.tolist(), self.classes.tolist()
+        return [one for one in zip(nodes, frames, classes, strict=True) if one[1]]
 
 
 class Bus(Protocol):

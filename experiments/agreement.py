@@ -17,7 +17,9 @@ from concord.runtime.drivers import DRIVERS
 from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
 
-_COMPARED = ("truth", "readings", "published", "classes", "mean", "cov", "ages")
+_COMPARED = (
+    "truth", "readings", "published", "payload_bytes", "classes", "mean", "cov", "ages",
+)  # fmt: skip
 OnStep = Callable[[int], None]
 
 

@@ -48,3 +48,21 @@ def take_due(
     counters = {**state.counters, "heard": state.counters.get("heard", 0) + taken}
     inbox = replace(inbox, shares={**inbox.shares, **shares})
     return replace(state, counters=counters, inbox=inbox), events[taken:]
+
+
+def cut_short(config: NodeConfig, state: NodeState) -> list[int]:
+    """Return the neighbours whose share is cut in the open group, and whose frames have not all
+    come.
+
+    These frames are of no use. The node waits for them, so that it counts the same frames in every
+    driver.
+    """
+    grant = state.inbox.grants.get((state.cycle, state.group))
+    if grant is None or not grant.cut_shares:
+        return []
+    parts = {j: state.inbox.parts.get((state.cycle, j), {}) for j in grant.cut_shares}
+    return [
+        j
+        for j, one in grant.cut_shares.items()
+        if j in config.neighbours and j not in state.absent and len(parts[j]) < one.frames
+    ]

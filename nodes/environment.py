@@ -21,6 +21,7 @@ from concord.nodes.messages import (
     Allowed,
     Bid,
     BidsClosed,
+    CutShare,
     EnvironmentEvent,
     EnvironmentMessage,
     Estimate,
@@ -321,13 +322,11 @@ def _grant(
             return state
         # In node order: the order of arrival on the wire must not matter.
         requests = [bids[node] for node in sorted(contenders) if node in bids]
-        arbiter, winners, classes = _award(config, state, contest, requests)
-        told = (unheard or UNSET, classes if any(classes) else UNSET)
-        outbox.append(Grant(state.next_cycle, list(winners), state.next_group, *told))
+        arbiter, grant = _award(config, state, contest, requests, unheard)
+        outbox.append(grant)
         rest = {key: asked for key, asked in state.bids.items() if key != contest}
-        state = state._replace(
-            arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
-        )
+        number, won = state.next_group + 1, state.won + tuple(grant.winners)
+        state = state._replace(arbiter=arbiter, bids=rest, next_group=number, won=won)
         state = skip_quiet_cycles(config, state)
 
 
@@ -336,8 +335,9 @@ def _award(
     state: EnvironmentState,
     contest: tuple[int, int],
     requests: Sequence[Bid],
-) -> tuple[ArbiterState, tuple[int, ...], list[int]]:
-    """Return the arbiter's memory, and the winners of a contest, ascending, with their classes."""
+    unheard: list[int],
+) -> tuple[ArbiterState, Grant]:
+    """Return the arbiter's memory, and the grant of a contest."""
     nodes = [request.node for request in requests]
     # A peer may bid any number: what is beyond all bids is as urgent as can be.
     bids = [
@@ -351,8 +351,11 @@ def _award(
         np.array(bids, dtype=np.int64),
         lambda: np.array([request.payload_bytes for request in requests], dtype=np.int64),
     )
-    winners = tuple(node for node, won in zip(nodes, awards.wins.tolist(), strict=True) if won)
-    return awards.state, winners, awards.classes[awards.wins].tolist()
+    winners = [node for node, won in zip(nodes, awards.wins.tolist(), strict=True) if won]
+    classes = awards.classes[awards.wins].tolist()
+    cut = [CutShare(*one) for one in awards.cut_shares(nodes)]
+    told = (unheard or UNSET, classes if any(classes) else UNSET, cut or UNSET)
+    return awards.state, Grant(contest[0], winners, contest[1], *told)
 
 
 _HELD, _BIDS, _ESTIMATES, _FINISHED = EnvironmentPhase

@@ -68,11 +68,23 @@ class Bid(msgspec.Struct, frozen=True):
     group: Group = 0
 
 
+class CutShare(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A node sends so many frames of a share that does not fit whole, in frame IDs of a class."""
+
+    node: NodeIndex
+    frames: Instant
+    urgency_class: Instant = 0
+
+
+CutShares = Annotated[list[CutShare], Meta(max_length=1 << 16)]
+
+
 class Grant(msgspec.Struct, frozen=True):
     """Environment to all: the winners of this group's dynamic slots, ascending.
 
     `classes` are those in whose frame IDs the winners send; left out where nodes have one frame ID.
-    In real time `unheard` are contenders that had not asked when bids ended.
+    In real time `unheard` are contenders that had not asked when bids ended. `cut` are shares of
+    which only the first frames are sent.
     """
 
     cycle: Instant
@@ -80,12 +92,18 @@ class Grant(msgspec.Struct, frozen=True):
     group: Group = 0
     unheard: NodeList | msgspec.UnsetType = msgspec.UNSET
     classes: NodeList | msgspec.UnsetType = msgspec.UNSET
+    cut: CutShares | msgspec.UnsetType = msgspec.UNSET
 
     def urgency_class(self, node: int) -> int:
         """The class in whose frame ID a winner sends; 0 where the grant says nothing of it."""
         if self.classes is msgspec.UNSET:
             return 0
         return dict(zip(self.winners, self.classes, strict=False)).get(node, 0)
+
+    @property
+    def cut_shares(self) -> dict[int, CutShare]:
+        """The shares that are cut, by their senders."""
+        return {} if self.cut is msgspec.UNSET else {one.node: one for one in self.cut}
 
 
 class Truth(msgspec.Struct, frozen=True):

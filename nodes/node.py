@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from concord.bus.schedule import Schedule
 from concord.nodes.changes import Gone
-from concord.nodes.due_frames import take_due
+from concord.nodes.due_frames import cut_short, take_due
 from concord.nodes.estimates import estimate_of
 from concord.nodes.faults.active import hangs, has_lost_clock, is_silent
 from concord.nodes.faults.retries import failed_frames
@@ -35,6 +35,7 @@ from concord.nodes.inbox import (
 )
 from concord.nodes.messages import (
     Bid,
+    CutShare,
     CycleClosed,
     Grant,
     Measured,
@@ -81,6 +82,7 @@ def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
     missing = list(_due(config, state))
     if came:
         missing = [j for j in missing if (cycle, j) not in came]
+    missing += cut_short(config, state)
     if not (missing and config.faults.are_active):
         return missing
     overtaken = state.inbox.overtaken
@@ -143,9 +145,10 @@ def _open_step(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) 
 def _take_grant(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     grant = state.inbox.grants[state.cycle, state.group]
     state = replace(state, phase=Phase.SHARES, won=state.won + tuple(grant.winners))
-    if config.index not in grant.winners:
-        return state
-    return _send(config, state, outbox, grant.urgency_class(config.index))
+    if config.index in grant.winners:
+        return _send(config, state, outbox, grant.urgency_class(config.index))
+    cut = grant.cut_shares.get(config.index)
+    return state if cut is None else _send_cut(config, state, outbox, cut)
 
 
 def _ignore(
@@ -237,6 +240,19 @@ def _send(
         failed = failed_frames(faults, step, cycle, config.index, frames, config.bus)
         counters = counted(counters, *["error frame"] * failed)
     return replace(state, content=content, counters=counters)
+
+
+def _send_cut(
+    config: NodeConfig, state: NodeState, outbox: list[NodeMessage], cut: CutShare
+) -> NodeState:
+    """Send the first frames of a share. The host knows that the others were not sent, so the node
+    goes on as if it had said nothing."""
+    first = len(outbox)
+    after = _send(config, state, outbox, cut.urgency_class)
+    if len(outbox) == first:
+        return after
+    del outbox[first + cut.frames :]
+    return count(state, *["sent" for _ in outbox[first:]], "cut")
 
 
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:

@@ -212,6 +212,9 @@ class BusRequest(NamedTuple):
 
 
 def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
+    if not chosen.withdrawal:
+        _check_cuts(chosen, asked)
+        asked = asked._replace(arbiter=asked.arbiter._replace(withdraws=False, cuts=True))
     if isinstance(chosen.schedule, WrittenSchedule):
         cluster, slots = _written(chosen, chosen.schedule)
         _check_no_written_relay(asked.schedule)
@@ -308,6 +311,26 @@ def _check_relay(schedule: Schedule, bus: SharedBus) -> None:
         raise ValueError(
             f"--relay --bus {bus.name}: whether a host can latch a frame at its slot depends "
             "on the time between frames; use --bus flexray, or leave --relay out"
+        )
+
+
+def _check_cuts(chosen: FlexRay, asked: BusRequest) -> None:
+    """Refuse hosts that do not withdraw where no controller could send what they leave."""
+    arbiter, schedule = arbiter_of(chosen.schedule), asked.schedule
+    if not any(schedule.contender_table):
+        raise ValueError(
+            "--no-withdrawal: no node contends for the dynamic segment; use --schedule dynamic or "
+            "hybrid, or leave --no-withdrawal out"
+        )
+    if asked.arbiter.is_ideal:
+        raise ValueError(
+            f"--no-withdrawal --arbiter {arbiter}: an ideal arbiter awards whole shares, which no "
+            "controller does; use --arbiter urgency or minislot, or leave --no-withdrawal out"
+        )
+    if schedule.relay:
+        raise ValueError(
+            "--no-withdrawal --relay: with --relay a host composes each frame in its slot, and "
+            "leaves none in its buffers; leave one of the two out"
         )
 
 

@@ -85,6 +85,15 @@ SMALL = {
         "occupancy": 0.5,
         "changes": ("1 drift 2 1500", "2 drift 0 9000", "2 drift 5 -9000", "14 drift 0 0"),
     },
+    "shares that are cut": {
+        "nodes": 8,
+        "cluster": "flexray-adapter",
+        "schedule": "dynamic",
+        "urgency_classes": 2,
+        "withdrawal": False,
+        "loss": 0.1,
+        "changes": ("2 missing 1 0.5", "3 corrupt 0.2", "4 kill 2", "6 restart 2"),
+    },
     "another run of the same seed": {"seed": 9, "run": 3},
 }
 # fmt: on

@@ -6,7 +6,8 @@ begins no frame after minislot pLatestTx, so frames with high IDs wait when low 
 """
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from concord.bus.flexray.cluster import Cluster
@@ -35,17 +36,20 @@ class PlacedFrame(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Frames in order of time, and the requests that must wait for another cycle."""
+    """Frames in order of time, and the requests that are not sent whole in this cycle."""
 
     placed: tuple[PlacedFrame, ...]
     waiting: tuple[Request, ...]
 
 
-def walk(cluster: Cluster, requests: Iterable[Request]) -> Walk:
+def walk(cluster: Cluster, requests: Iterable[Request], frame_by_frame: bool = False) -> Walk:
     """Count through the dynamic slots of one cycle in which these requests are pending.
 
-    A request is sent completely or not at all. Raises ValueError if two share a slot, or a frame ID
-    belongs to no dynamic slot.
+    A request is sent completely or not at all. With `frame_by_frame` its first frames are sent even
+    where the others find no room.
+
+    Raises:
+        ValueError: two requests share a slot, or a frame ID belongs to no dynamic slot.
     """
     ordered = sorted(requests, key=lambda request: request.frame_id)
     _check_slots(cluster, ordered)
@@ -56,12 +60,14 @@ def walk(cluster: Cluster, requests: Iterable[Request]) -> Walk:
         minislot += request.frame_id - slot
         frames = _frames(cluster, request, minislot)
         slot = request.frame_id + len(frames)
-        if all(_in_time(cluster, frame) for frame in frames):
-            placed += frames
-            minislot = frames[-1].minislot + frames[-1].minislots
-        else:
+        sent = list(takewhile(partial(_in_time, cluster), frames))
+        if len(sent) < len(frames):
             waiting.append(request)
-            minislot += len(frames)
+            sent = sent if frame_by_frame else []
+        if sent:
+            placed += sent
+            minislot = sent[-1].minislot + sent[-1].minislots
+        minislot += len(frames) - len(sent)
     return Walk(tuple(placed), tuple(waiting))
 
 

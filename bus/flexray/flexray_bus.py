@@ -17,6 +17,7 @@ from concord.bus.flexray.clocks.disturbances import Disturbances
 from concord.bus.flexray.clocks.disturbed import clock_errors
 from concord.bus.flexray.clocks.settings import SyncNode
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cut_shares import SentFrames, sent_frames
 from concord.bus.flexray.dynamic_segment import Request
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.publication import Publications, sync_nodes_of
@@ -219,6 +220,18 @@ class FlexRayBus(SlottedBus):
             return self._counters.all_sent(requests)
 
         return fits
+
+    def _sent_frames(
+        self,
+        nodes: NDArray[np.int64],
+        frame_ids: NDArray[np.int64],
+        asks: NDArray[np.bool_],
+        payload_bytes: Callable[[], NDArray[np.int64]],
+    ) -> SentFrames | None:
+        if self._all_fit or not self._arbiter.cuts:
+            return None
+        sizes = payload_bytes()
+        return sent_frames(self._counters, nodes, frame_ids, asks, sizes)
 
     def _ranks(self, nodes: NDArray[np.int64], frame_ids: NDArray[np.int64]) -> NDArray[np.int64]:
         return self._counters.ranks(nodes, frame_ids)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.arbitration import (
+    NO_BID,
     Arbiter,
     ArbiterState,
     Fits,
@@ -17,6 +18,7 @@ from concord.bus.arbitration import (
 )
 from concord.bus.bus import Awards, Fragment, Rejected, SharePlace
 from concord.bus.contended_bus import ContendedBus
+from concord.bus.flexray.cut_shares import SentFrames
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import (
     SHARE_FRAMES,
@@ -177,10 +179,11 @@ class SlottedBus(ContendedBus):
             classes = np.minimum(np.maximum(classes, over), self.classes.count - 1)
             state = state._replace(last_frame_id=last)
         frame_ids = owned[np.arange(len(slots)), classes]
-        fits = self._fits(places, frame_ids, payload_bytes)
+        sent = self._sent_frames(places, frame_ids, bids != NO_BID, payload_bytes)
+        fits = self._fits(places, frame_ids, payload_bytes) if sent is None else sent.fits
         ranks = self._ranks(places, frame_ids)
         state, wins = award(self._arbiter, state, places, ranks, bids, most, fits, passed)
-        return Awards(state, wins, classes)
+        return Awards(state, wins, classes, None if sent is None else sent.cut)
 
     def _ranks(self, nodes: NDArray[np.int64], frame_ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return numbers (..., C) in the order of the frame IDs, each of one contender."""
@@ -193,4 +196,14 @@ class SlottedBus(ContendedBus):
         payload_bytes: Callable[[], NDArray[np.int64]],
     ) -> Fits | None:
         """Return whether requests fit beside each other; None where all that may win do."""
+        return None
+
+    def _sent_frames(
+        self,
+        nodes: NDArray[np.int64],
+        frame_ids: NDArray[np.int64],
+        asks: NDArray[np.bool_],
+        payload_bytes: Callable[[], NDArray[np.int64]],
+    ) -> SentFrames | None:
+        """Return the frames that go of each share; None where shares go whole or not at all."""
         return None

@@ -36,7 +36,7 @@ class Rehearsal(NamedTuple):
     @property
     def published(self) -> np.ndarray:
         """Return the nodes that published (steps, rounds, N)."""
-        return self.sent.payload_bytes > 0
+        return self.sent.whole.payload_bytes > 0
 
     @property
     def ages(self) -> np.ndarray:
@@ -106,7 +106,7 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
     cycles = steps * scenario.rounds
     payload_bytes = np.zeros((cycles, scenario.nodes), dtype=np.int64)
     classes = np.zeros_like(payload_bytes)
-    asked = np.zeros((cycles, scenario.nodes), dtype=bool)
+    asked, torn = np.zeros((2, cycles, scenario.nodes), dtype=bool)
     state = begin_arbitration(scenario.nodes)
     assert isinstance(bus.classes, UrgencyClasses), "a cluster of FlexRay has these"
     silent = [0] * scenario.nodes
@@ -121,19 +121,23 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
             asked[cycle, contenders] = True
             classes[cycle, winners] = awards.classes[awards.wins]
             senders += tuple(winners.tolist())
+            for node, frames, urgency_class in awards.cut_shares(contenders):
+                payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle, frames)
+                classes[cycle, node], torn[cycle, node] = urgency_class, True
         for node in senders:
             payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle)
+        whole = (payload_bytes[cycle] > 0) & ~torn[cycle]
         silent = [
-            0 if sent else waited + 1
-            for sent, waited in zip(payload_bytes[cycle], silent, strict=True)
+            0 if sent else waited + 1 for sent, waited in zip(whole.tolist(), silent, strict=True)
         ]
     shape = (steps, scenario.rounds, scenario.nodes)
-    sent = SentShares(payload_bytes.reshape(shape), classes.reshape(shape))
+    cut = torn.reshape(shape) if torn.any() else None
+    sent = SentShares(payload_bytes.reshape(shape), classes.reshape(shape), cut)
     return Rehearsal(sent, asked.reshape(shape))
 
 
-def _payload_bytes(bus: FlexRayBus, node: int, cycle: int) -> int:
-    return sum(slot.payload_bytes for slot in bus.slots(node, cycle)[0])
+def _payload_bytes(bus: FlexRayBus, node: int, cycle: int, frames: int | None = None) -> int:
+    return sum(slot.payload_bytes for slot in bus.slots(node, cycle)[0][:frames])
 
 
 def _largest(setup: Setup) -> Alternative | None:

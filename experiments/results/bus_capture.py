@@ -23,7 +23,7 @@ from concord.bus.captured import Captured
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import FrameError
 from concord.bus.retransmissions import Retransmits, retransmits
-from concord.experiments.results.bus_report import SentShares, timetable
+from concord.experiments.results.bus_report import shares_of, timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
 from concord.nodes.faults.active import Faults, sends_nothing
@@ -136,7 +136,7 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
         return None
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
-        for cycle in timetable(bus, SentShares(trace.payload_bytes, trace.classes))
+        for cycle in timetable(bus, shares_of(trace))
     ]
     frames: list[FrameOnBus] = []
     events: list[Event] = []

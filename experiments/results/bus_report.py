@@ -37,6 +37,7 @@ class BusFigures(msgspec.Struct, frozen=True):
         worst_access_us: bound from the request of a share at any moment to its last bit, whatever
             the other nodes send; None for a bus that states none.
         contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
+        cut_shares: shares of which only the first frames were sent; no node can use them.
         ideal_arbiter: no controller awards slots in the order in which they got it.
         has_minislots: the bus counts minislots.
         empty_minislots_mean, empty_minislots_max: minislots of a cycle in which no node sent, up to
@@ -71,6 +72,7 @@ class BusFigures(msgspec.Struct, frozen=True):
     contenders: int
     ideal_arbiter: bool
     starved: list[int]
+    cut_shares: int
     has_minislots: bool
     empty_minislots_mean: float
     empty_minislots_max: int
@@ -84,11 +86,20 @@ class BusFigures(msgspec.Struct, frozen=True):
 
 
 class SentShares(NamedTuple):
-    """Payload bytes of what each node sent in a cycle, and the urgency class of the frame IDs in
-    which it sent; both (..., N)."""
+    """Payload bytes of what each node sent in a cycle, the urgency class of its frame IDs, and
+    whether only the first frames of its share went; all (..., N). Without `cut` all shares are
+    whole."""
 
     payload_bytes: np.ndarray
     classes: np.ndarray
+    cut: np.ndarray | None = None
+
+    @property
+    def whole(self) -> "SentShares":
+        """Return the shares that are whole."""
+        if self.cut is None:
+            return self
+        return SentShares(np.where(self.cut, 0, self.payload_bytes), self.classes)
 
 
 class BusTimes(NamedTuple):
@@ -119,7 +130,7 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
         trace.ages[:, node, [j for j in neighbours if j in publishers]]
         for node, neighbours in enumerate(setup.neighbours)
     ]
-    sent = SentShares(trace.payload_bytes, trace.classes)
+    sent = shares_of(trace)
     errors = [one.get("error frame", 0) for one in trace.counters]
     return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1), errors)
 
@@ -128,12 +139,17 @@ def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
     """When what was on the bus in a run; None where the bus has no time, or was another."""
     bus = build_bus(setup)
     timed = bus.has_time and trace.history.one_bus
-    return bus_times(bus, SentShares(trace.payload_bytes, trace.classes)) if timed else None
+    return bus_times(bus, shares_of(trace)) if timed else None
+
+
+def shares_of(trace: Trace) -> SentShares:
+    """Return the shares that the nodes of a run sent."""
+    return SentShares(trace.payload_bytes, trace.classes, trace.cut if trace.cut.any() else None)
 
 
 def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
     """Return the frames of every cycle from cycle 0 on (`Bus.transmissions`)."""
-    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in sent)
+    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in sent[:2])
     return [bus.transmissions(cycle, *row) for cycle, row in enumerate(zip(*rows, strict=True))]
 
 
@@ -156,10 +172,12 @@ def bus_figures(
     ages_all = timebase.ages_over_all(ages)[ages >= 0]
     frames = [len(cycle) for cycle in cycles]
     load = [bus.load(cycle) for cycle in cycles]
-    delay_us = _delays_us(bus, cycles, rounds)
+    delay_us = _delays_us(
+        bus, cycles if shares.cut is None else timetable(bus, shares.whole), rounds
+    )
     sent_frames = [frame for cycle in cycles for frame in cycle]
     wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
-    asked, sent = asked.reshape(-1, nodes), shares.payload_bytes.reshape(-1, nodes) > 0
+    asked, sent = asked.reshape(-1, nodes), shares.whole.payload_bytes.reshape(-1, nodes) > 0
     waits, waits_all = longest_waits(asked, sent, _numbers(bus, len(cycles)))
     empty = [empty_minislots(cycle) for cycle in cycles]
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
@@ -187,6 +205,7 @@ def bus_figures(
         contenders=int(asked.any(axis=0).sum()),
         ideal_arbiter=bus.has_ideal_arbiter,
         starved=starved.tolist(),
+        cut_shares=0 if shares.cut is None else int(shares.cut.sum()),
         has_minislots=bool(bus.marks_us()[1]),
         empty_minislots_mean=float(np.mean(empty)),
         empty_minislots_max=max(empty),
@@ -249,17 +268,18 @@ def _channel_loads(bus: Bus, frames: Sequence[Transmission], cycles: int) -> dic
 def bus_times(bus: Bus, sent: SentShares) -> BusTimes:
     """When what is on a bus with time, on which these shares (steps, rounds, N) were sent."""
     cycles = timetable(bus, sent)
+    whole = cycles if sent.cut is None else timetable(bus, sent.whole)
     rounds, nodes = sent.payload_bytes.shape[1:]
     start_us = np.full((len(cycles), nodes), np.nan)
     end_us = np.full((len(cycles), nodes), np.nan)
-    for number, cycle in enumerate(cycles):
+    for number, cycle in enumerate(whole):
         for frame in cycle:
             start_us[number, frame.node] = np.fmin(start_us[number, frame.node], frame.start_us)
             end_us[number, frame.node] = np.fmax(end_us[number, frame.node], frame.end_us)
     return BusTimes(
         _numbers(bus, len(cycles)).reshape(-1, rounds),
         np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
-        np.array(_delays_us(bus, cycles, rounds)),
+        np.array(_delays_us(bus, whole, rounds)),
         start_us.reshape(sent.payload_bytes.shape),
         end_us.reshape(sent.payload_bytes.shape),
     )
@@ -347,6 +367,11 @@ def lines(figures: BusFigures) -> list[str]:
             f"dynamic segment: {figures.contenders} contenders"
             f"{' (ideal arbiter)' if figures.ideal_arbiter else ''}, {starvation(figures)}"
             f"{empty if figures.has_minislots else ''}"
+        )
+    if figures.cut_shares:
+        text.append(
+            f"cut: of {figures.cut_shares} shares only the first frames were sent, which no node "
+            "can use; hosts that withdraw such shares (--withdrawal) leave the bus free"
         )
     return text
 

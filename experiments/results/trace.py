@@ -44,7 +44,8 @@ class Trace(NamedTuple):
         i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
         N), what a node sent in a communication cycle, all its frames together; 0 where it was
         silent. asked: (steps, rounds, N), which node asked for the dynamic segment. classes:
-        (steps, rounds, N), the urgency class in whose frame ID a node won; else 0. counters: per
+        (steps, rounds, N), the urgency class in whose frame ID a node sent; else 0. cut: (steps,
+        rounds, N), whether only the first frames of a share were sent. counters: per
         node, totals at its last estimate. history: who took part when, and in how many rounds; a
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
         for rules without, and where the network changed. past: for rules that estimate it. suspect:
@@ -63,6 +64,7 @@ class Trace(NamedTuple):
     payload_bytes: np.ndarray
     asked: np.ndarray
     classes: np.ndarray
+    cut: np.ndarray
     counters: list[dict[str, int]]
     history: History
     spread: RecordSpread | None = None
@@ -79,8 +81,8 @@ class Trace(NamedTuple):
 
     @property
     def published(self) -> np.ndarray:
-        """Which node sent in which communication cycle (steps, rounds, N)."""
-        return self.payload_bytes > 0
+        """Which node sent a share in which communication cycle (steps, rounds, N)."""
+        return (self.payload_bytes > 0) & ~self.cut
 
 
 def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
@@ -92,6 +94,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     sent: list[tuple[int, Fragment, int]] = []
     asked: list[tuple[int, int, int]] = []
     classes: list[tuple[int, int, int]] = []
+    cut: list[tuple[int, int, int]] = []
     events: list[Event] = []
     timed, frames = False, frame_format(setup.scenario)
     for topic, data in messages:
@@ -105,6 +108,9 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
             case Grant() as message:
                 won = ((node, message.urgency_class(node)) for node in message.winners)
                 classes += [(message.cycle, *one) for one in won if one[0] < nodes]
+                torn = [one for node, one in message.cut_shares.items() if node < nodes]
+                classes += [(message.cycle, one.node, one.urgency_class) for one in torn]
+                cut += [(message.cycle, one.node, 1) for one in torn]
             case Measured() as message:
                 measured[message.step, message.node] = message
             case Estimate() as message:
@@ -130,7 +136,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
         )
     ):
         steps += 1
-    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes)
+    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes, cut)
 
 
 def _assemble(
@@ -143,6 +149,7 @@ def _assemble(
     sent: list[tuple[int, Fragment, int]],
     asked: list[tuple[int, int, int]],
     classes: list[tuple[int, int, int]],
+    cut: list[tuple[int, int, int]],
 ) -> Trace:
     nodes, n = setup.scenario.nodes, len(setup.prior_mean)
     mean = np.full((steps, nodes, n), np.nan)
@@ -173,27 +180,25 @@ def _assemble(
             past.std[k, :, i] = from_wire(estimate.smoothed_std)
         readings[k, i] = from_wire(measured[k, i].readings)
         controls[k] = measured[k, i].control
-    control = None
-    if any(u is not None for u in controls):
-        size = max(len(u) for u in controls if u is not None)
-        control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
     truth = np.full((steps, len(setup.initial_state)), np.nan)
     for k in truths.keys() & range(steps):
         truth[k] = from_wire(truths[k].state)
     there = {key: one.tracks for key, one in estimates.items() if history.is_in(key[1], key[0])}
     tracks = tracks_trace(setup, truth, there)
     lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
-    fragments = [(node, fragment) for node, fragment, _ in sent]
+    torn = {(cycle, node) for cycle, node, _ in cut}
+    fragments = [(node, part) for node, part, _ in sent if (part.cycle, node) not in torn]
     return Trace(
         truth=truth if tracks is None else truth[:, :n],
         readings=readings,
-        control=control,
+        control=_control(controls),
         mean=mean,
         cov=unpack_upper(packed),
         ages=ages,
         payload_bytes=_summed(lengths, steps, history, nodes),
         asked=_summed(asked, steps, history, nodes) > 0,
         classes=_summed(classes, steps, history, nodes),
+        cut=_summed(cut, steps, history, nodes) > 0,
         counters=counters,
         history=history,
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
@@ -203,6 +208,14 @@ def _assemble(
         tracks=tracks,
         duality_gap=None if np.isnan(gap).all() else gap,
     )
+
+
+def _control(told: list[list[float] | None]) -> np.ndarray | None:
+    """Controls (steps, p), NaN where none was told; None where none ever was."""
+    sizes = [len(one) for one in told if one is not None]
+    if not sizes:
+        return None
+    return np.array([np.full(max(sizes), np.nan) if one is None else one for one in told])
 
 
 def _nothing(setup: Setup, steps: int) -> Past | None:

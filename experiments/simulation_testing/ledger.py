@@ -75,7 +75,7 @@ class OracleLedger:
             return False
         turns = config.schedule.groups(ledger.cycle)[ledger.group].senders
         if ledger.phase is Phase.SHARES:
-            turns = (*turns, *self.record.grants.get((ledger.cycle, ledger.group), ()))
+            turns = (*turns, *self.record.dynamic_turns(ledger.cycle, ledger.group))
         faults = self.record.faults(config, step)
         return config.index in turns and bool(
             must_be_silent(faults, step, ledger.cycle, config.index)
@@ -88,9 +88,7 @@ class OracleLedger:
             self._node_ledgers[one.sender].counts["sent"] += 1
             _check_slot(config, self._owners, one)
             groups = range(len(config.schedule.groups(one.cycle)))
-            winners = [
-                w for group in groups for w in self.record.grants.get((one.cycle, group), ())
-            ]
+            winners = [w for group in groups for w in self.record.dynamic_turns(one.cycle, group)]
             if one.sender not in (*config.schedule.static_senders(one.cycle), *winners):
                 raise Broken(
                     "who sends has a turn", f"node {one.sender} has none in cycle {one.cycle}"
@@ -168,7 +166,7 @@ class OracleLedger:
             j in due and self.record.history.is_in(j, step) for j in silent
         )
         ledger.fused.append(cycle)
-        if config.index in due:
+        if config.index in (*senders, *self.record.dynamic_turns(cycle, group)):
             ledger.turns.append((step, cycle))
 
     def used(self, node: int, sender: int, cycle: int) -> None:

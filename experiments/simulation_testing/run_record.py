@@ -17,7 +17,8 @@ class RunRecord:
 
     Attributes:
         genuine: frames as they were sent, by their bytes. unchecked: frames whose turn is not
-        checked yet. cuts, wrong: links and faults as announced last. liars: nodes that were told
+        checked yet. torn: nodes of which only the first frames of a share are sent, by (cycle,
+        group). cuts, wrong: links and faults as announced last. liars: nodes that were told
         to lie.
     """
 
@@ -28,6 +29,7 @@ class RunRecord:
         self.truths: dict[int, Truth] = {}
         self.measured: dict[tuple[int, int], Measured] = {}
         self.grants: dict[tuple[int, int], tuple[int, ...]] = {}
+        self.torn: dict[tuple[int, int], tuple[int, ...]] = {}
         self.liars: set[int] = set()
         self.unchecked: list[Sent] = []
         self.genuine: dict[bytes, Sent] = {}
@@ -56,7 +58,9 @@ class RunRecord:
             case Truth() as message:
                 self.truths[message.step] = message
             case Grant() as message:
-                self.grants[message.cycle, message.group] = tuple(message.winners)
+                key = message.cycle, message.group
+                self.grants[key] = tuple(message.winners)
+                self.torn[key] = tuple(message.cut_shares)
             case Event() as message:
                 self._note_change(message)
 
@@ -72,6 +76,11 @@ class RunRecord:
         self.genuine[frame] = sent
         self._sent.setdefault((node, fragment.cycle), []).append(sent)
         self.unchecked.append(sent)
+
+    def dynamic_turns(self, cycle: int, group: int) -> tuple[int, ...]:
+        """Return the nodes that send in dynamic slots, a whole share or its first frames."""
+        key = cycle, group
+        return self.grants.get(key, ()) + self.torn.get(key, ())
 
     def step_of(self, cycle: int) -> int:
         """Return the step of a cycle."""

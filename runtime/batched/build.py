@@ -41,6 +41,7 @@ from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import withdraws
 
 
 def without_array_form(scenario: Scenario) -> str | None:
@@ -55,6 +56,8 @@ def without_array_form(scenario: Scenario) -> str | None:
         return "sensors at other places (--changes)"
     if _loses_clocks(scenario):
         return "kills that leave clocks without sync frames (--changes)"
+    if not withdraws(scenario.bus):
+        return "a share that is cut (--no-withdrawal)"
     if (wiring := definition.wiring(scenario)) is not None:
         return wiring.lacking(scenario)
     for held in (scenario, *later):

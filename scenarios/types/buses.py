@@ -143,6 +143,11 @@ class FlexRay(TimedBus, frozen=True, kw_only=True, tag="flexray"):
         Option("Channels of the frames: all that the cluster has, A or B alone, split (half on "
                "each), mixed (static ones on both, dynamic ones split)."),
     ] = ALL_CHANNELS  # fmt: skip
+    withdrawal: Annotated[
+        bool,
+        Option("Hosts withdraw a request for the dynamic segment whose share would not fit whole, "
+               "or be one too many for the occupancy; without it frames are sent up to pLatestTx."),
+    ] = True  # fmt: skip
 
 
 class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):
@@ -233,6 +238,11 @@ def urgency_classes_of(schedule: BusSchedule) -> int:
     if isinstance(schedule, ContendedSchedule) and schedule.arbiter == URGENCY:
         return schedule.urgency_classes
     return 1
+
+
+def withdraws(bus: SharedBus) -> bool:
+    """Whether no share is ever cut."""
+    return bus.withdrawal if isinstance(bus, FlexRay) else True
 
 
 def stretch_of(bus: SharedBus) -> float:

@@ -84,6 +84,7 @@ class ScenarioOptions(TypedDict, total=False):
     slots: str
     cluster: str
     channels: CHANNELS
+    withdrawal: bool
     opportunity_bits: int
     burst_frames: int
     identifiers: IDENTIFIERS
@@ -165,6 +166,7 @@ class SweptOptions(TypedDict, total=False):
     slots: Sequence[str] | np.ndarray | str
     cluster: Sequence[str] | np.ndarray | str
     channels: Sequence[CHANNELS] | np.ndarray | CHANNELS
+    withdrawal: Sequence[bool] | np.ndarray | bool
     opportunity_bits: Sequence[int] | np.ndarray | int
     burst_frames: Sequence[int] | np.ndarray | int
     identifiers: Sequence[IDENTIFIERS] | np.ndarray | IDENTIFIERS

@@ -92,7 +92,7 @@ def winners(bus: FlexRayBus, cycles: int = 1) -> list[int]:
     state, won = begin_arbitration(bus.schedule.nodes), np.zeros(len(nodes), int)
     sizes = np.array([sum(bus.payloads(node, 0, SHARE_BYTES)) for node in nodes])
     for cycle in range(cycles):
-        state, wins, _ = bus.arbitrate(
+        state, wins, *_ = bus.arbitrate(
             state, cycle, 0, nodes, np.ones(len(nodes), int), lambda: sizes
         )
         won += wins

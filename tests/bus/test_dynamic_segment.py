@@ -4,6 +4,7 @@ import math
 
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request, frame_payloads, walk
@@ -72,6 +73,26 @@ def test_a_request_longer_than_one_frame_is_sent_whole_or_not_at_all():
     placed, waiting = walk(adapter, [late, Request(4, late.frame_id + 3, 16)])
     assert waiting == (late,)
     assert [(frame.node, frame.minislot) for frame in placed] == [(4, 150)]
+
+
+@quick
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 70)), min_size=1, max_size=12))
+def test_frame_by_frame_each_frame_goes_by_its_own_slot(shares: list[tuple[int, int]]):
+    """Shares in order of their IDs: the empty slots before each, and its bytes."""
+    adapter, frame_id = FLEXRAY_ADAPTER, FLEXRAY_ADAPTER.first_dynamic_id
+    whole: list[Request] = []
+    single: list[Request] = []
+    for node, (gap, size) in enumerate(shares):
+        frame_id += gap
+        whole.append(Request(node, frame_id, size))
+        for payload_bytes in frame_payloads(adapter, size):
+            single.append(Request(node, frame_id, payload_bytes))
+            frame_id += 1
+    placed, waiting = walk(adapter, whole, frame_by_frame=True)
+    sent = minislot_by_minislot(adapter, single)
+    assert {frame.frame_id: frame.minislot for frame in placed} == sent
+    late = {request.node for request in single if request.frame_id not in sent}
+    assert {request.node for request in waiting} == late
 
 
 def test_slots_with_two_senders_are_refused_by_name():

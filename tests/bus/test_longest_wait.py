@@ -47,7 +47,7 @@ def winners(bus: FlexRayBus, rows: list[list[int]]) -> list[set[int]]:
             left = [one for one in bus.schedule.contenders(cycle) if one not in won]
             if slots and left:
                 asked = np.array([bids[node] for node in left])
-                state, wins, _ = bus.arbitrate(state, cycle, group, left, asked, unasked)
+                state, wins, *_ = bus.arbitrate(state, cycle, group, left, asked, unasked)
                 won |= set(np.array(left)[wins].tolist())
         found.append(won)
     return found

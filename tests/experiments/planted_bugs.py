@@ -102,7 +102,7 @@ BUGS = (
     Bug(
         "who lost the contest sends all the same",
         "concord.nodes.node", "_take_grant",
-        (("if config.index not in grant.winners", "if False"),),
+        (("if config.index in grant.winners", "if True"),),
     ),
     Bug(
         "all nodes share the slots of node 0",

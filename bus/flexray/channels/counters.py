@@ -1,5 +1,6 @@
 """Slot counters of the dynamic segment: one for all channels of a network, or one for each."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from concord.bus.bus import Transmission
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.dynamic_segment import Request, frame_payloads, walk
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.slot_table import SlotTable
 from concord.bus.flexray.timing import dynamic_transmissions
@@ -37,6 +38,20 @@ class SlotCounters:
             if any(request.node in self._channel_of for request in waiting):
                 return False
         return True
+
+    def frames_of(self, request: Request) -> int:
+        """Return how many frames a request takes."""
+        return len(frame_payloads(self._cluster, request.payload_bytes))
+
+    def frames_sent(self, requests: Sequence[Request]) -> Counter[int]:
+        """Return how many frames of each node are sent, frame by frame, while every other station
+        sends."""
+        sent: Counter[int] = Counter()
+        for _, own, beside in self._counted(requests, self._others):
+            asked = [*own, *requests_of(beside, self._cluster)]
+            placed = walk(self._cluster, asked, frame_by_frame=True).placed
+            sent.update(frame.node for frame in placed if frame.node in self._channel_of)
+        return sent
 
     def most_fit(self, requests: Sequence[Request], most: int) -> int:
         """Return how many requests, at most `most`, fit whichever they are; the last IDs of each
