@@ -28,6 +28,12 @@ _PART = (
 )
 _CHARTS = "()=>Object.values(window.__viserTestpoints.uplots).map(u=>u.chart.data[0].length)"
 _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
+# A notice goes after three seconds, and a slow test may look too late.
+_KEEP_NOTICES = (
+    "{const told=window.__notices=new Set();new MutationObserver(()=>"
+    "document.querySelectorAll('.mantine-Notification-root').forEach(n=>told.add(n.textContent)))"
+    ".observe(document,{childList:true,subtree:true,characterData:true})}"
+)
 _MIDDLE = (
     "selector=>{const box=document.querySelector(selector)?.getBoundingClientRect();"
     "return box&&[box.x+box.width/2,box.y+box.height/2]}"
@@ -98,6 +104,7 @@ class Page:
             self.draw()
         self.page = browser.new_page(viewport={"width": 1280, "height": 720})
         self.page.set_default_timeout(90_000)
+        self.page.add_init_script(_KEEP_NOTICES)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))
         self.page.goto(f"{dashboard.url}&fixedDpr=0.5")
@@ -107,6 +114,10 @@ class Page:
     def _listen(self, message: Any) -> None:
         if message.type in ("error", "warning") and not any(h in message.text for h in _HARMLESS):
             self.console.append(f"{message.type}: {message.text}")
+
+    def has_told(self, words: str) -> bool:
+        """Whether a notice with these words has ever been on the page."""
+        return any(words in one for one in self.page.evaluate("()=>[...window.__notices]"))
 
     def draw(self) -> None:
         """One turn of the dashboard's loop, late enough that everything is due."""

@@ -340,7 +340,7 @@ def test_occupancy_and_arbiter_give_the_bus_to_fewer_and_to_others(page: Page, o
     assert all(len({frame.node for frame in cycle.frames}) == 4 for cycle in cycles)
     page.until(lambda: "4 frames" in page.text("bus-load"))
     page.press("Apply at the next step")
-    page.until(lambda: page.page.get_by_text("Nothing to apply").count() > 0)
+    page.until(lambda: page.has_told("Nothing to apply"))
 
 
 def in_static(cycle) -> list[int]:
