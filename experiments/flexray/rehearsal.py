@@ -14,7 +14,7 @@ from concord.bus.arbitration import begin_arbitration
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import UrgencyClasses
-from concord.experiments.results.bus_report import SentShares
+from concord.experiments.results.sent_shares import SentShares
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
@@ -106,7 +106,7 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
     cycles = steps * scenario.rounds
     payload_bytes = np.zeros((cycles, scenario.nodes), dtype=np.int64)
     classes = np.zeros_like(payload_bytes)
-    asked, torn = np.zeros((2, cycles, scenario.nodes), dtype=bool)
+    asked, cut = np.zeros((2, cycles, scenario.nodes), dtype=bool)
     state = begin_arbitration(scenario.nodes)
     assert isinstance(bus.classes, UrgencyClasses), "a cluster of FlexRay has these"
     silent = [0] * scenario.nodes
@@ -123,16 +123,19 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
             senders += tuple(winners.tolist())
             for node, frames, urgency_class in awards.cut_shares(contenders):
                 payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle, frames)
-                classes[cycle, node], torn[cycle, node] = urgency_class, True
+                classes[cycle, node], cut[cycle, node] = urgency_class, True
         for node in senders:
             payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle)
-        whole = (payload_bytes[cycle] > 0) & ~torn[cycle]
+        whole = (payload_bytes[cycle] > 0) & ~cut[cycle]
         silent = [
             0 if sent else waited + 1 for sent, waited in zip(whole.tolist(), silent, strict=True)
         ]
     shape = (steps, scenario.rounds, scenario.nodes)
-    cut = torn.reshape(shape) if torn.any() else None
-    sent = SentShares(payload_bytes.reshape(shape), classes.reshape(shape), cut)
+    sent = SentShares(
+        payload_bytes.reshape(shape),
+        classes.reshape(shape),
+        cut.reshape(shape) if cut.any() else None,
+    )
     return Rehearsal(sent, asked.reshape(shape))
 
 

@@ -5,7 +5,8 @@ from math import isnan
 import msgspec
 import numpy as np
 
-from concord.experiments.results.bus_report import SentShares, wire_per_step
+from concord.experiments.results.bus_report import wire_per_step
+from concord.experiments.results.sent_shares import SentShares
 from concord.experiments.results.trace import Trace
 from concord.filters.metrics import rmse
 from concord.scenarios.build import build_bus

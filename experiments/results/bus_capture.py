@@ -23,7 +23,7 @@ from concord.bus.captured import Captured
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import FrameError
 from concord.bus.retransmissions import Retransmits, retransmits
-from concord.experiments.results.bus_report import shares_of, timetable
+from concord.experiments.results.bus_report import timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
 from concord.nodes.faults.active import Faults, sends_nothing
@@ -136,7 +136,7 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
         return None
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
-        for cycle in timetable(bus, shares_of(trace))
+        for cycle in timetable(bus, trace.sent)
     ]
     frames: list[FrameOnBus] = []
     events: list[Event] = []
@@ -243,7 +243,7 @@ def _unused_slots(traffic: Traffic) -> Iterator[Captured]:
         cycle, node = frame.way.cycle, frame.way.sender
         used.setdefault(cycle, set()).add((node, frame.place.frame_id))
         came[cycle, node] += 1
-        # A node that has sent nothing leaves gaps, and of a torn share the rest is not known.
+        # A node that has sent nothing leaves gaps, and of a cut share the rest is not known.
         if came[cycle, node] == frame.frames:
             whole.setdefault(cycle, set()).add(node)
     for cycle, nodes in whole.items():

@@ -13,6 +13,7 @@ import numpy as np
 
 from concord.bus.bus import Bus, Transmission
 from concord.bus.retransmissions import retransmits
+from concord.experiments.results.sent_shares import SentShares
 from concord.experiments.results.trace import Trace
 from concord.scenarios.build import build_bus
 from concord.scenarios.setup import Setup
@@ -85,23 +86,6 @@ class BusFigures(msgspec.Struct, frozen=True):
     never_heard: int
 
 
-class SentShares(NamedTuple):
-    """Payload bytes of what each node sent in a cycle, the urgency class of its frame IDs, and
-    whether only the first frames of its share went; all (..., N). Without `cut` all shares are
-    whole."""
-
-    payload_bytes: np.ndarray
-    classes: np.ndarray
-    cut: np.ndarray | None = None
-
-    @property
-    def whole(self) -> "SentShares":
-        """Return the shares that are whole."""
-        if self.cut is None:
-            return self
-        return SentShares(np.where(self.cut, 0, self.payload_bytes), self.classes)
-
-
 class BusTimes(NamedTuple):
     """Times on the bus.
 
@@ -130,7 +114,7 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
         trace.ages[:, node, [j for j in neighbours if j in publishers]]
         for node, neighbours in enumerate(setup.neighbours)
     ]
-    sent = shares_of(trace)
+    sent = trace.sent
     errors = [one.get("error frame", 0) for one in trace.counters]
     return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1), errors)
 
@@ -139,17 +123,13 @@ def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
     """When what was on the bus in a run; None where the bus has no time, or was another."""
     bus = build_bus(setup)
     timed = bus.has_time and trace.history.one_bus
-    return bus_times(bus, shares_of(trace)) if timed else None
-
-
-def shares_of(trace: Trace) -> SentShares:
-    """Return the shares that the nodes of a run sent."""
-    return SentShares(trace.payload_bytes, trace.classes, trace.cut if trace.cut.any() else None)
+    return bus_times(bus, trace.sent) if timed else None
 
 
 def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
     """Return the frames of every cycle from cycle 0 on (`Bus.transmissions`)."""
-    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in sent[:2])
+    numbers = sent.payload_bytes, sent.classes
+    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in numbers)
     return [bus.transmissions(cycle, *row) for cycle, row in enumerate(zip(*rows, strict=True))]
 
 

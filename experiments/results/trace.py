@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.bus.bus import Fragment
+from concord.experiments.results.bus_record import BusRecord
 from concord.experiments.results.record_spread import RecordSpread, record_spread
+from concord.experiments.results.sent_shares import SentShares
 from concord.experiments.tracking.tracks_trace import TracksTrace, tracks_trace
 from concord.filters.linalg import unpack_upper
 from concord.nodes.changes import Event
@@ -80,6 +81,11 @@ class Trace(NamedTuple):
         return len(self.truth)
 
     @property
+    def sent(self) -> SentShares:
+        """The shares that the nodes sent, (steps, rounds, N)."""
+        return SentShares(self.payload_bytes, self.classes, self.cut if self.cut.any() else None)
+
+    @property
     def published(self) -> np.ndarray:
         """Which node sent a share in which communication cycle (steps, rounds, N)."""
         return (self.payload_bytes > 0) & ~self.cut
@@ -91,26 +97,19 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     truths: dict[int, Truth] = {}
     measured: dict[tuple[int, int], Measured] = {}
     estimates: dict[tuple[int, int], Estimate] = {}
-    sent: list[tuple[int, Fragment, int]] = []
-    asked: list[tuple[int, int, int]] = []
-    classes: list[tuple[int, int, int]] = []
-    cut: list[tuple[int, int, int]] = []
+    on_bus = BusRecord(nodes)
     events: list[Event] = []
     timed, frames = False, frame_format(setup.scenario)
     for topic, data in messages:
         match meaning(topic, data, nodes, frames):
             case SharedFrame(node, fragment):
-                sent.append((node, fragment, len(data) - frames.overhead_bytes))
+                on_bus.note_frame(node, fragment, len(data) - frames.overhead_bytes)
             case Truth() as message:
                 truths[message.step] = message
-            case Bid() as message if message.bid is not None:
-                asked.append((message.cycle, message.node, 1))
+            case Bid() as message:
+                on_bus.note_bid(message)
             case Grant() as message:
-                won = ((node, message.urgency_class(node)) for node in message.winners)
-                classes += [(message.cycle, *one) for one in won if one[0] < nodes]
-                torn = [one for node, one in message.cut_shares.items() if node < nodes]
-                classes += [(message.cycle, one.node, one.urgency_class) for one in torn]
-                cut += [(message.cycle, one.node, 1) for one in torn]
+                on_bus.note_grant(message)
             case Measured() as message:
                 measured[message.step, message.node] = message
             case Estimate() as message:
@@ -136,7 +135,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
         )
     ):
         steps += 1
-    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes, cut)
+    return _assemble(setup, history, steps, truths, measured, estimates, on_bus)
 
 
 def _assemble(
@@ -146,10 +145,7 @@ def _assemble(
     truths: dict[int, Truth],
     measured: dict[tuple[int, int], Measured],
     estimates: dict[tuple[int, int], Estimate],
-    sent: list[tuple[int, Fragment, int]],
-    asked: list[tuple[int, int, int]],
-    classes: list[tuple[int, int, int]],
-    cut: list[tuple[int, int, int]],
+    on_bus: BusRecord,
 ) -> Trace:
     nodes, n = setup.scenario.nodes, len(setup.prior_mean)
     mean = np.full((steps, nodes, n), np.nan)
@@ -185,9 +181,6 @@ def _assemble(
         truth[k] = from_wire(truths[k].state)
     there = {key: one.tracks for key, one in estimates.items() if history.is_in(key[1], key[0])}
     tracks = tracks_trace(setup, truth, there)
-    lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
-    torn = {(cycle, node) for cycle, node, _ in cut}
-    fragments = [(node, part) for node, part, _ in sent if (part.cycle, node) not in torn]
     return Trace(
         truth=truth if tracks is None else truth[:, :n],
         readings=readings,
@@ -195,13 +188,17 @@ def _assemble(
         mean=mean,
         cov=unpack_upper(packed),
         ages=ages,
-        payload_bytes=_summed(lengths, steps, history, nodes),
-        asked=_summed(asked, steps, history, nodes) > 0,
-        classes=_summed(classes, steps, history, nodes),
-        cut=_summed(cut, steps, history, nodes) > 0,
+        payload_bytes=on_bus.payload_bytes(history, steps),
+        asked=on_bus.asked(history, steps),
+        classes=on_bus.classes(history, steps),
+        cut=on_bus.cut(history, steps),
         counters=counters,
         history=history,
-        spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
+        spread=(
+            record_spread(setup, on_bus.whole_shares(), readings)
+            if steps and not history.changed
+            else None
+        ),
         past=past,
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
         estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
@@ -225,15 +222,3 @@ def _nothing(setup: Setup, steps: int) -> Past | None:
         return None
     shape = (steps, lags, setup.scenario.nodes, len(setup.prior_mean))
     return Past(np.full(shape, np.nan), np.full(shape, np.nan))
-
-
-def _summed(
-    counted: list[tuple[int, int, int]], steps: int, history: History, nodes: int
-) -> np.ndarray:
-    """Counts (steps, rounds, N) of (cycle, node, count) in complete steps, added up."""
-    total = np.zeros((steps, history.rounds, nodes), dtype=np.int64)
-    for cycle, node, count in counted:
-        step, place = history.place(cycle)
-        if step < steps:
-            total[step, place, node] += count
-    return total

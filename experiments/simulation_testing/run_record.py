@@ -17,9 +17,9 @@ class RunRecord:
 
     Attributes:
         genuine: frames as they were sent, by their bytes. unchecked: frames whose turn is not
-        checked yet. torn: nodes of which only the first frames of a share are sent, by (cycle,
-        group). cuts, wrong: links and faults as announced last. liars: nodes that were told
-        to lie.
+        checked yet. cut_shares: nodes of which only the first frames of a share are sent, by
+        (cycle, group). cuts, wrong: links and faults as announced last. liars: nodes that were
+        told to lie.
     """
 
     def __init__(self, bus: Bus, rounds: int) -> None:
@@ -29,7 +29,7 @@ class RunRecord:
         self.truths: dict[int, Truth] = {}
         self.measured: dict[tuple[int, int], Measured] = {}
         self.grants: dict[tuple[int, int], tuple[int, ...]] = {}
-        self.torn: dict[tuple[int, int], tuple[int, ...]] = {}
+        self.cut_shares: dict[tuple[int, int], tuple[int, ...]] = {}
         self.liars: set[int] = set()
         self.unchecked: list[Sent] = []
         self.genuine: dict[bytes, Sent] = {}
@@ -60,7 +60,7 @@ class RunRecord:
             case Grant() as message:
                 key = message.cycle, message.group
                 self.grants[key] = tuple(message.winners)
-                self.torn[key] = tuple(message.cut_shares)
+                self.cut_shares[key] = tuple(message.cut_shares)
             case Event() as message:
                 self._note_change(message)
 
@@ -80,7 +80,7 @@ class RunRecord:
     def dynamic_turns(self, cycle: int, group: int) -> tuple[int, ...]:
         """Return the nodes that send in dynamic slots, a whole share or its first frames."""
         key = cycle, group
-        return self.grants.get(key, ()) + self.torn.get(key, ())
+        return self.grants.get(key, ()) + self.cut_shares.get(key, ())
 
     def step_of(self, cycle: int) -> int:
         """Return the step of a cycle."""

@@ -10,8 +10,9 @@ import numpy as np
 
 from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
-from concord.experiments.results.bus_report import SentShares, wire_per_step
+from concord.experiments.results.bus_report import wire_per_step
 from concord.experiments.results.record_spread import figures_of
+from concord.experiments.results.sent_shares import SentShares
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees

@@ -17,7 +17,6 @@ from concord.bus.timebase import Pace
 from concord.bus.urgency_classes import ONE_CLASS
 from concord.experiments.flexray.rehearsal import rehearse
 from concord.experiments.results.bus_report import (
-    SentShares,
     bus_figures,
     bus_times,
     figures_of,
@@ -25,7 +24,8 @@ from concord.experiments.results.bus_report import (
     longest_waits,
     timetable,
 )
-from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.results.sent_shares import SentShares
+from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_with_known
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -72,11 +72,6 @@ def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
 def in_one_class(payload_bytes: np.ndarray) -> SentShares:
     """Return shares of nodes with one frame ID each."""
     return SentShares(payload_bytes, np.zeros_like(payload_bytes))
-
-
-def sent_in(trace: Trace) -> SentShares:
-    """Return the shares of a run."""
-    return SentShares(trace.payload_bytes, trace.classes)
 
 
 def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
@@ -245,10 +240,10 @@ def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
     setup = prepared(options)
     messages = in_memory(setup)
     trace, plan = read_trace(setup, messages), flexray_bus(setup)
-    assert_orderly(plan, sent_in(trace))
+    assert_orderly(plan, trace.sent)
     planned = {
         (number, frame.node, frame.frame_id, frame.payload_bytes)
-        for number, cycle in enumerate(timetable(plan, sent_in(trace)))
+        for number, cycle in enumerate(timetable(plan, trace.sent))
         for frame in cycle
     }
     shares = [(int(topic[6:]), data) for topic, data in messages if topic.startswith("share/")]

@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.bus_report import SentShares, wire_per_step
+from concord.experiments.results.bus_report import wire_per_step
+from concord.experiments.results.sent_shares import SentShares
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
