@@ -4,11 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 MARK = "CONCORD_TEST_MARK"
 PROC = Path("/proc")
@@ -74,16 +76,30 @@ class Family:
 
     def await_line(self, part: str, seconds: float = PATIENCE_S) -> str:
         """Read standard error up to a line that has this in it."""
-        began_s = time.monotonic()
-        stream = self.process.stderr
+        return self._read_until(lambda line: part in line, part, self.process.stderr, seconds)
+
+    def await_output(self, holds: Callable[[str], bool], seconds: float = PATIENCE_S) -> str:
+        """Read standard output up to a line for which something holds."""
+        return self._read_until(holds, "the output", self.process.stdout, seconds)
+
+    def _read_until(
+        self, holds: Callable[[str], bool], sought: str, stream: IO[str] | None, seconds: float
+    ) -> str:
         assert stream is not None
         said = []
-        while time.monotonic() - began_s < seconds * slowdown() and (line := stream.readline()):
-            said.append(line)
-            if part in line:
-                self._first_line_s = self._first_line_s or time.monotonic() - self._began_s
-                return line
-        raise AssertionError(f"no line with {part!r}, but {said}")
+        # The end of the command ends the reading.
+        watch = threading.Timer(seconds * slowdown(), self.kill_all)
+        watch.start()
+        try:
+            while line := stream.readline():
+                said.append(line)
+                if holds(line):
+                    self._first_line_s = self._first_line_s or time.monotonic() - self._began_s
+                    return line
+        finally:
+            watch.cancel()
+        trouble = "" if stream is self.process.stderr else self.process.stderr.read()  # type: ignore[union-attr]
+        raise AssertionError(f"no line with {sought!r}, but {said}; {trouble}")
 
     def end(self, seconds: float = 3.0) -> tuple[int, str, str]:
         """Wait for the command: exit code, standard output and standard error."""
@@ -92,10 +108,14 @@ class Family:
 
     def kill_all(self) -> None:
         """Whatever a failing test has left behind."""
-        while pids := self.alive():
+
+        def all_dead() -> bool:
+            pids = self.alive()
             for pid in pids:
                 _kill(pid)
-            time.sleep(0.02)
+            return not pids
+
+        assert holds_within(PATIENCE_S, all_dead), f"processes {self.alive()} do not end"
 
 
 @contextmanager
@@ -116,7 +136,7 @@ def interrupted(run: Family, begun: Callable[[], object]) -> str:
     """Standard error of a command that Ctrl-C ends, with all its workers, once it has begun."""
     assert holds_within(PATIENCE_S, begun)
     run.send_to_group(signal.SIGINT)
-    code, _, said = run.end(10 * PATIENCE_S)
+    code, _, said = run.end(PATIENCE_S)
     assert code == 130 and "Traceback" not in said, said
     assert run.gone_within(10)
     return said

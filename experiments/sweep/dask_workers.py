@@ -37,6 +37,9 @@ def connect(address: str, tls: Path | None = None) -> Engine:
             "processes of this machine"
         ) from None
     client, refusal = None, ""
+    # A client that nobody holds any more closes as it is collected. While another one starts, that
+    # would wait for a lock which the start holds.
+    gc.collect()
     try:
         # Without files, Dask's own configuration says which.
         security = Security(require_encryption=True, **files) if files else None
@@ -53,8 +56,7 @@ def connect(address: str, tls: Path | None = None) -> Engine:
             "that it prints"
         )
     if client is None:
-        # The refused client closes as it is collected. While the next client starts, that would
-        # wait for a lock which that start holds.
+        # So does the refused one, before the caller starts another.
         gc.collect()
         raise ValueError(f"--dask {address}: {refusal}")
     try:

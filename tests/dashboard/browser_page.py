@@ -100,8 +100,7 @@ class Page:
         self.dashboard = dashboard
         self.clock_s = 1.0
         self.console: list[str] = []
-        while dashboard.source.pace().state == "LOADING":
-            self.draw()
+        assert holds_within(PATIENCE_S, self._loaded), "the recording never loaded"
         self.page = browser.new_page(viewport={"width": 1280, "height": 720})
         self.page.set_default_timeout(90_000)
         self.page.add_init_script(_KEEP_NOTICES)
@@ -110,6 +109,10 @@ class Page:
         self.page.goto(f"{dashboard.url}&fixedDpr=0.5")
         self.page.wait_for_function(_READY)
         self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
+
+    def _loaded(self) -> bool:
+        self.draw()
+        return self.dashboard.source.pace().state != "LOADING"
 
     def _listen(self, message: Any) -> None:
         if message.type in ("error", "warning") and not any(h in message.text for h in _HARMLESS):

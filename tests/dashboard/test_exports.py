@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.expected import nothing_expected
 from concord.dashboard.frames.replay import replayed
 from concord.dashboard.panels.chart import Curve, Drawn, Sample
@@ -23,6 +24,7 @@ from concord.dashboard.view import View
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from tests.dashboard.runs import frames_of, run_of
+from tests.processes import PATIENCE_S, holds_within
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)
 FRAMES = frames_of(STAGE, MESSAGES)
@@ -126,6 +128,11 @@ def test_scene_bus_and_charts_of_an_exported_run_scrub_together(chromium, tmp_pa
         page.close()
 
 
+def _loaded(dashboard: Dashboard) -> bool:
+    dashboard.history_add()
+    return dashboard.source.pace().state != "LOADING"
+
+
 def _pixels(picture: bytes) -> np.ndarray:
     from matplotlib.image import imread
 
@@ -135,8 +142,7 @@ def _pixels(picture: bytes) -> np.ndarray:
 def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path: Path):
     dashboard = open_recording(STAGE.setup, recorded(tmp_path), "127.0.0.1", 0, light=True)
     try:
-        while dashboard.source.pace().state == "LOADING":
-            dashboard.history_add()
+        assert holds_within(PATIENCE_S, lambda: _loaded(dashboard)), "the recording never loaded"
         dashboard.page.charts.draw(sampled(STAGE, VIEW, dashboard.history, nothing_expected))
         file = tmp_path / "charts.html"
         file.write_text(charts_page(STAGE, dashboard.page.charts.drawn, VIEW))

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -100,26 +99,12 @@ def network(
 
 def await_pid(run: Family, name: str) -> int:
     """Return the number of a process, from the first output of the network."""
-    assert run.process.stdout is not None
-    while line := run.process.stdout.readline():
-        who, _, pid = line.strip().partition(" ")
-        if who == name:
-            return int(pid)
-    raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
+    return int(run.await_output(lambda line: line.startswith(f"{name} ")).split()[1])
 
 
 def await_step(run: Family, step: int) -> None:
-    """Until the network has completed a step; one that stands still is ended."""
-    assert run.process.stdout is not None
-    watch = threading.Timer(30, run.kill_all)
-    watch.start()
-    try:
-        while line := run.process.stdout.readline():
-            if line.strip().isdecimal() and int(line) >= step:
-                return
-    finally:
-        watch.cancel()
-    raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
+    """Until the network has completed a step."""
+    run.await_output(lambda line: line.strip().isdecimal() and int(line) >= step)
 
 
 @pytest.mark.parametrize(("one", "other"), [("2", "1"), ("2", RECORDER), (ENVIRONMENT, RECORDER)])
