@@ -8,7 +8,7 @@ from concord.nodes.messages import Bid, Grant
 
 
 class BusRecord:
-    """What the nodes of a network sent on the bus, and asked of it.
+    """Frames that the nodes of a network sent, and the slots that they asked for and got.
 
     Its lists have a cycle, a node and a number each.
     """
