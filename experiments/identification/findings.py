@@ -216,7 +216,8 @@ def _of_side_slip(f: Findings) -> Iterator[str]:
             f"acceleration add up, within {1e3 * f.side_slip_reference_rad:.2g} mrad. Only "
             f"this side slip tells: {', '.join(f.told_by_reference)}. Their intervals assume that "
             "the body rolls 0 to 0.16 s after the acceleration, and an accelerometer within 0.2 m "
-            "of its place in the file; elsewhere they miss."
+            "of its place in the file; elsewhere they miss. The noise of the car takes that place "
+            "for exact: measure it."
         )
     if f.side_slip_anees is None:
         yield (
