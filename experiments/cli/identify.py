@@ -9,6 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 import numpy as np
 import tyro
+from msgspec.structs import replace
 from rich.console import Console
 
 from concord.experiments.identification.findings import findings_of, in_words, table_of
@@ -115,7 +116,10 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
     tyre = _TYRES[options.tyre]
     reference = slip_reference(given.channels, tyres, tyre)
-    cars = [given.car, tyres.car] if tells_slip(given.channels, reference) else [given.car]
+    cars = [given.car]
+    if tells_slip(given.channels, reference):
+        offset_rad = tyres.steering_offset_rad
+        cars += [_with_steering(car, offset_rad) for car in (given.car, tyres.car)]
     return fit(
         given.channels,
         likeliest(given.channels, cars, tyre, TIME_STEP_S, options.min_speed),
@@ -127,6 +131,13 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         reference=reference,
         on_step=lambda: _say("."),
     )
+
+
+def _with_steering(car: Car, added_rad: float) -> Car:
+    """The car whose steering reads so much too little."""
+    sheet = car.sensors.steering
+    steering = replace(sheet, offset=sheet.offset - added_rad)
+    return replace(car, sensors=replace(car.sensors, steering=steering))
 
 
 def _say(sign: str) -> None:

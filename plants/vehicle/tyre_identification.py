@@ -107,7 +107,9 @@ def identify(
         return ((both[: len(steps)] - both[len(steps) :]) / (2 * _STEP)).T
 
     jac: Any = jacobian  # scipy's types know the names of methods only
-    found = least_squares(lambda p: residuals(p[None])[0], np.zeros(sought.sum()), jac=jac)
+    start = np.zeros(sought.sum())
+    start[_STEERING_OFFSET] = _rolling_offset_rad(driven, car, compared[:, 0]) / _OFFSETS[0]
+    found = least_squares(lambda p: residuals(p[None])[0], start, jac=jac)
     return _identified(car, sought, found.x, found.fun, found.jac, compared)
 
 
@@ -115,6 +117,16 @@ def identify(
 # acceleration and side slip in units of _OFFSETS; log of the friction over the car's.
 _OFFSETS = np.array([1e-3, *_SCALES[1:]])
 _FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 5
+
+
+def _rolling_offset_rad(driven: Drive, car: Car, compared: np.ndarray) -> float:
+    """Return the median of what the logged steering lacks where wheels roll where they point.
+
+    A fit that starts far from a large offset ends at tyres that do not steer.
+    """
+    wheelbase_m = car.front_axle_m + car.rear_axle_m
+    rolling = np.arctan2(wheelbase_m * driven.yaw_rate_rad_s, driven.speed_m_s)
+    return float(np.median((rolling - driven.steering_rad)[compared]))
 
 
 def _outputs(

@@ -64,6 +64,16 @@ def test_it_finds_the_stiffness_within_its_own_errors(tyre, slip_is_logged):
     assert np.isnan(found.residual_rms[2]) == (not slip_is_logged)
 
 
+@pytest.mark.parametrize("added_rad", [-0.1, 0.1])
+def test_a_steering_that_reads_six_degrees_wrong_changes_nothing_else(added_rad: float):
+    logged = drive(TRUE, tanh_tyre, 0.03)
+    wrong = logged._replace(steering_rad=logged.steering_rad - added_rad)
+    one, other = (identify(each, BMW_320I, tanh_tyre) for each in (logged, wrong))
+    assert other.steering_offset_rad - one.steering_offset_rad == pytest.approx(added_rad, abs=1e-5)
+    for ours, theirs in zip(axles_of(other.car), axles_of(one.car), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-4)
+
+
 def test_it_finds_the_friction_near_the_limit():
     found = identify(drive(TRUE, tanh_tyre, 0.06), BMW_320I, tanh_tyre, seek_friction=True)
     assert abs(found.car.friction - TRUE.friction) < 4 * found.friction_std
