@@ -10,7 +10,7 @@ from concord.nodes.messages import Bid, Grant
 class BusRecord:
     """Frames that the nodes of a network sent, and the slots that they asked for and got.
 
-    Its lists have a cycle, a node and a number each.
+    Lists of counts have a cycle, a node and a number each.
     """
 
     def __init__(self, nodes: int) -> None:
@@ -27,7 +27,7 @@ class BusRecord:
         self._payload_bytes.append((fragment.cycle, node, payload_bytes))
 
     def note_bid(self, bid: Bid) -> None:
-        """Note that a node asked for a slot, or did not."""
+        """Note that a node asked for a slot, if it did."""
         if bid.bid is not None:
             self._asked.append((bid.cycle, bid.node, 1))
 

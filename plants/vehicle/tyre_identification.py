@@ -124,8 +124,7 @@ def _rolling_offset_rad(driven: Drive, car: Car, compared: np.ndarray) -> float:
 
     A fit that starts far from a large offset ends at tyres that do not steer.
     """
-    wheelbase_m = car.front_axle_m + car.rear_axle_m
-    rolling = np.arctan2(wheelbase_m * driven.yaw_rate_rad_s, driven.speed_m_s)
+    rolling = np.arctan2(car.wheelbase_m * driven.yaw_rate_rad_s, driven.speed_m_s)
     return float(np.median((rolling - driven.steering_rad)[compared]))
 
 
