@@ -6,8 +6,8 @@ place on all machines.
 """
 
 import contextlib
-import signal
 import sys
+import time
 from typing import Any
 
 from dask_jobqueue import SLURMCluster  # pyright: ignore[reportPrivateImportUsage]
@@ -29,7 +29,8 @@ def main(jobs: int) -> None:
         sys.stdout.flush()
         # Ctrl-C cancels the jobs.
         with contextlib.suppress(KeyboardInterrupt):
-            signal.pause()
+            while True:
+                time.sleep(1.0)
 
 
 if __name__ == "__main__":

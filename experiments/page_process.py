@@ -22,6 +22,8 @@ from concord.runtime.network.network_file import read_network
 RUN_IS_OVER, RUN_AGAIN = b"over\n", b"again\n"
 PORT = b"port "
 _END_S = 5.0
+# How often the launcher looks whether it is to end.
+_LOOK_S = 0.5
 
 
 class PageProcess:
@@ -107,7 +109,10 @@ class PageProcess:
             "the run is over; its page stays until Ctrl-C, and its button runs it again\n"
         )
         with suppress(KeyboardInterrupt):
-            return self._asks_again.get()
+            while True:
+                # The kernel may give the signal to another thread, which does not end a `get`.
+                with suppress(queue.Empty):
+                    return self._asks_again.get(timeout=_LOOK_S)
         return False
 
     def close(self) -> None:

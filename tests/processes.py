@@ -70,6 +70,12 @@ class Family:
         """A signal to the command alone."""
         os.kill(self.process.pid, signal_number)
 
+    def send_to_a_thread(self, signal_number: int) -> None:
+        """A signal to the command that the kernel gives to another of its threads than the main."""
+        threads = (int(path.name) for path in (PROC / f"{self.process.pid}/task").iterdir())
+        # Linux prefers the thread whose number it is.
+        os.kill(max(threads), signal_number)
+
     def send_to_group(self, signal_number: int) -> None:
         """A signal to all that a terminal would send it to."""
         os.killpg(self.process.pid, signal_number)

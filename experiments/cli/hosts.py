@@ -4,8 +4,8 @@ All hosts get the same setup file; the environment refuses a node with another f
 (docs/deployment.md).
 """
 
-import signal
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -40,6 +40,9 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
+
+# How often a router looks whether it is to end.
+_LOOK_S = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +127,9 @@ def router(options: Annotated[RouterOptions, tyro.conf.arg(name="")]) -> None:
             raise ValueError(f"--listen {options.listen}: {error}") from None
     sys.stderr.write(f"router at {options.listen}\n")
     try:
-        signal.pause()
+        # The kernel may give a signal to a thread of zenoh, which would not end a `signal.pause`.
+        while True:
+            time.sleep(_LOOK_S)
     finally:
         session.close()
 

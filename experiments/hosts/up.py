@@ -197,8 +197,11 @@ class NetworkOverSsh:
             while time.monotonic() < until_s and any(r.title in self._running for r in ending):
                 self._take(_LOOK_S)
         for remote in self._running.values():
-            # Its host does not answer any more.
             remote.ssh.kill()
+            self._say(
+                f"{remote.title:<{self._width}} | has not ended within {_END_S:g} s; see on its "
+                "host whether it runs"
+            )
             remote.ssh.wait()
         self._selector.close()
 

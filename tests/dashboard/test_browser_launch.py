@@ -130,7 +130,7 @@ def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
         assert estimates_in(again) == estimates_in(folder)
         assert page.get_by_role("button", name="Run again", exact=True).is_enabled()
         page.close()
-        command.send(signal.SIGINT)
+        command.send_to_a_thread(signal.SIGINT)
         assert command.gone_within(10)
         assert command.process.wait() == 0
 

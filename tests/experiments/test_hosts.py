@@ -1,5 +1,6 @@
 """One network on several hosts, here as several commands on one: the same bits, clear refusals."""
 
+import signal
 from contextlib import suppress
 from pathlib import Path
 
@@ -52,6 +53,16 @@ def await_network(endpoint: str, keys: str | None = None) -> Client:
 
     assert holds_within(PATIENCE_S, answers)
     return client
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_a_signal_ends_a_router_whichever_thread_gets_it(tmp_path: Path):
+    with hosts(tmp_path) as there:
+        router = there.router(f"tcp/127.0.0.1:{free_ports(['a'])['a']}")
+        router.send_to_a_thread(signal.SIGTERM)
+        assert router.gone_within(PATIENCE_S)
+        assert router.end()[0] == 130
 
 
 @needs_proc
