@@ -30,8 +30,6 @@ _MOST_OF_THE_WAY = 0.9
 # Squared Newton decrement at which a barrier is done, and the last one, on which the dual variables
 # must be feasible; in between, where Newton's steps converge quadratically.
 _ROUGH, _SMALL, _FINE = 0.5, 1e-3, 1e-10
-# Weights of the barrier in the dual variables that are tried, in those of the last.
-_DUAL_WEIGHTS = (0.5, 1.0, 2.0, 8.0)
 # Stages of the path whose gap is below so many times the accuracy bound the trace too.
 _COARSE = 1e4
 
@@ -101,7 +99,7 @@ def _follow(task: BarrierTask, accuracy: float) -> tuple[np.ndarray, np.ndarray,
         point = _centre(task, point, weight, _FINE if last else _ROUGH)
         if last or barrier * parameters <= _COARSE * accuracy:
             # Where the last point is not centred for its rounding, the bound of an earlier one is.
-            least = np.fmax(least, _least_trace(task, point, weight))
+            least = np.fmax(least, _least_trace(task, point))
         if last:
             break
         barrier *= _STEP_OF_BARRIER
@@ -110,35 +108,55 @@ def _follow(task: BarrierTask, accuracy: float) -> tuple[np.ndarray, np.ndarray,
     return found, point.trace, np.where(sound, least, np.nan)
 
 
-def _least_trace(task: BarrierTask, point: _Point, barrier: np.ndarray) -> np.ndarray:
+def _least_trace(task: BarrierTask, point: _Point) -> np.ndarray:
     """A trace (L,) that no multipliers undercut, by feasible points of the dual programme.
 
     With G = M^-1 E' E M^-1, E = image - L known at the best L, the dual variable is
-    Z = G + w M^-1 + s e1 e1', w > 0 and s >= -w / M_11. It is feasible if <Z, T_i> <= 0 for every
-    term, and its value is 2 tr P - Z_11. Weights w around that of the barrier are tried, each with
-    the least s. Source: Boyd and Vandenberghe (2004), section 5.9.
+    Z = G + w M^-1 + s e1 e1', w >= 0 and s >= -w / M_11. It is feasible if <Z, T_i> <= 0 for every
+    term, and its value is 2 tr P - Z_11. Source: Boyd and Vandenberghe (2004), section 5.9.
     """
     matrix = _certificate(task, point.multipliers)
     whitener = np.linalg.inv(cholesky(matrix))
     constant = (whitener @ task.first[..., None])[..., 0]
     residual = _residual(task, whitener)
     first = ((residual @ constant[:, : residual.shape[-1], None])[..., 0] ** 2).sum(-1)
-    of_inverse = np.trace(point.whitened_terms, axis1=-2, axis2=-1)
     start = task.first[:, None, :]
     corners = (start[:, None] @ task.terms @ start.mT[:, None])[..., 0, 0]
-    of_matrix = (start @ matrix @ start.mT)[..., 0, 0]
-    # One row for each weight that is tried.
-    weight = np.outer(_DUAL_WEIGHTS, barrier)
-    room = point.gradient - weight[..., None] * of_inverse
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = room / corners
-    least = np.where(corners < 0.0, ends, -np.inf).max(-1)
-    least = np.maximum(least, -weight / of_matrix)
-    most = np.where(corners > 0.0, ends, np.inf).min(-1)
-    feasible = (least <= most) & ((corners != 0.0) | (room >= 0.0)).all(-1)
-    corner = first + weight * (constant**2).sum(-1) + least
-    best: np.ndarray = np.where(feasible, 2.0 * point.trace - corner, 0.0).max(0)
+    of_inverse = np.trace(point.whitened_terms, axis1=-2, axis2=-1)
+    of_matrix = (start @ matrix @ start.mT)[:, :, 0]
+    # A term each, then w >= 0 and the bound of s.
+    rows = np.zeros((len(corners), corners.shape[-1] + 2, 2))
+    rows[:, :-2, 0], rows[:, :-2, 1] = of_inverse, corners
+    rows[:, -2:, 0], rows[:, -1, 1] = -1.0, -of_matrix[:, 0]
+    most = np.concatenate((point.gradient, np.zeros((len(corners), 2))), axis=-1)
+    cost = np.stack(((constant**2).sum(-1), np.ones(len(corners))), axis=-1)
+    best: np.ndarray = 2.0 * point.trace - first - _least_cost(rows, most, cost)
     return np.maximum(best, 0.0)
+
+
+def _least_cost(rows: np.ndarray, most: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """The least cost (L,) of two variables x with rows (L, k, 2) x <= most (L, k); inf without one.
+
+    It is at a corner, where two of the rows hold with equality.
+    """
+    one, other = np.triu_indices(rows.shape[-2], 1)
+    a, b = rows[:, one], rows[:, other]
+    of_a, of_b = most[:, one], most[:, other]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+        first = (of_a * b[..., 1] - of_b * a[..., 1]) / determinant
+        second = (a[..., 0] * of_b - b[..., 0] * of_a) / determinant
+        within = (
+            rows[:, None, :, 0] * first[..., None] + rows[:, None, :, 1] * second[..., None]
+            <= most[:, None]
+        )
+    # Rounding must not deny the rows that meet there.
+    corner = np.arange(len(one))
+    within[:, corner, one] = within[:, corner, other] = True
+    found = within.all(-1) & np.isfinite(first) & np.isfinite(second)
+    costs = cost[:, :1] * first + cost[:, 1:] * second
+    least: np.ndarray = np.where(found, costs, np.inf).min(-1)
+    return least
 
 
 def _certificate(task: BarrierTask, multipliers: np.ndarray) -> np.ndarray:
