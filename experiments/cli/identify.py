@@ -9,13 +9,11 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 import numpy as np
 import tyro
-from msgspec.structs import replace
 from rich.console import Console
 
 from concord.experiments.identification.findings import findings_of, in_words, table_of
-from concord.experiments.identification.fit import CarFit, fit, likeliest
+from concord.experiments.identification.fit import CarFit, fit
 from concord.experiments.identification.slip_reference import slip_reference
-from concord.experiments.identification.without_slip import tells_slip
 from concord.experiments.places import make_folder
 from concord.experiments.user_errors import user_errors
 from concord.plants.recorded.channels import ChannelReadings
@@ -37,6 +35,7 @@ from concord.plants.vehicle.parameters import Car, car_to_toml
 from concord.plants.vehicle.sensors import TEST_CAR, logged
 from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified, identify
+from concord.plants.vehicle.validity import SLOWEST_M_S
 from concord.runtime.disk import writing
 from concord.scenarios.definitions.vehicle_network import TIME_STEP_S
 from concord.topology.names import unknown_name
@@ -65,7 +64,7 @@ class IdentifyOptions:
     seek: Literal["tyres", "everything"] = "everything"
     """The tyres alone, which takes seconds, or also process noise, the yaw inertia, and noise,
     offsets, delays and places of sensors."""
-    min_speed: float = 5.0
+    min_speed: float = SLOWEST_M_S
     """Slower parts of the drive do not count, in m/s."""
     friction: bool = False
     """Seek the friction too; only a drive near the limit tells it."""
@@ -116,13 +115,9 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
     tyre = _TYRES[options.tyre]
     reference = slip_reference(given.channels, tyres, tyre)
-    cars = [given.car]
-    if tells_slip(given.channels, reference):
-        offset_rad = tyres.steering_offset_rad
-        cars += [_with_steering(car, offset_rad) for car in (given.car, tyres.car)]
     return fit(
         given.channels,
-        likeliest(given.channels, cars, tyre, TIME_STEP_S, options.min_speed),
+        given.car,
         tyre,
         friction=options.friction,
         ratio=options.data is not None and not logs_road_wheels(options.data),
@@ -131,13 +126,6 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         reference=reference,
         on_step=lambda: _say("."),
     )
-
-
-def _with_steering(car: Car, added_rad: float) -> Car:
-    """The car whose steering reads so much too little."""
-    sheet = car.sensors.steering
-    steering = replace(sheet, offset=sheet.offset - added_rad)
-    return replace(car, sensors=replace(car.sensors, steering=steering))
 
 
 def _say(sign: str) -> None:

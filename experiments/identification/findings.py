@@ -43,6 +43,7 @@ class Findings(msgspec.Struct, frozen=True):
     `side_slip_anees` is that of the filter that hears no side slip. The written car has
     `side_slip_factor` times the process noise of side slip that was found,
     `lateral_acceleration_factor` times that noise, and its other sensors the NIS `nis_written`.
+    If innovations and outputs disagree about `disagreeing`, all but noise is of the outputs.
     """
 
     car: str
@@ -68,6 +69,7 @@ class Findings(msgspec.Struct, frozen=True):
     side_slip_factor: float | None = None
     lateral_acceleration_factor: float | None = None
     nis_written: float | None = None
+    disagreeing: list[str] = []
 
 
 def findings_of(found: Identified, before: Car, fitted: CarFit | None) -> Findings:
@@ -108,6 +110,7 @@ def findings_of(found: Identified, before: Car, fitted: CarFit | None) -> Findin
         side_slip_factor=None if claim is None else _process_factor(fitted),
         lateral_acceleration_factor=None if claim is None else claim.factor,
         nis_written=None if claim is None else claim.nis,
+        disagreeing=[one.name for one in fitted.far],
     )
 
 
@@ -190,6 +193,12 @@ def in_words(f: Findings) -> Iterator[str]:
     small = [one.name for one in f.parameters if one.high is not None and not one.seen]
     if small:
         yield f"Too small to see, below a bound: {', '.join(small)}."
+    if f.disagreeing:
+        yield (
+            "Errors of the model last here: the likeliest values would be far from those with "
+            f"which the car follows its steering and speed best ({', '.join(f.disagreeing)}). "
+            "So all but noise is of the latter (output error)."
+        )
     yield from _of_side_slip(f)
     for one in f.parameters:
         if one.name.startswith("noise of ") and one.seen and one.found >= _GROWN * one.before:

@@ -14,13 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from concord.experiments.identification.likelihood import (
-    Likelihood,
-    likelihood,
-    values_at,
-    widths_of,
-)
+from concord.experiments.identification.likelihood import Likelihood, likelihood, widths_of
 from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
+from concord.experiments.identification.output_error import OutputError, by_output_error
 from concord.experiments.identification.slip_claim import SlipClaim, covering, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
 from concord.experiments.identification.sought import (
@@ -28,6 +24,7 @@ from concord.experiments.identification.sought import (
     Sought,
     car_with,
     sought_of,
+    told,
     value_at,
 )
 from concord.experiments.identification.without_slip import SMALL, Heard, as_heard
@@ -66,7 +63,8 @@ class CarFit(NamedTuple):
 
     `freedoms` is the number of innovations; `converged` is False where steps ran out. The fit heard
     a reference of the side slip with the standard deviation `reference_rad`, None for no reference.
-    `claim` is None where the fit heard no side slip. It may raise noise in the car.
+    `claim` is None where the fit heard no side slip. It may raise noise in the car. `far` are the
+    parameters for which innovations and outputs disagree: then all but noise is of the outputs.
     """
 
     car: Car
@@ -77,6 +75,7 @@ class CarFit(NamedTuple):
     converged: bool
     reference_rad: float | None
     claim: SlipClaim | None
+    far: tuple[Sought, ...]
 
 
 _UNTOLD = (0.0, np.inf, np.inf)
@@ -110,7 +109,8 @@ def fit(
     every = sought_of(channels, car, friction=friction, ratio=ratio)
     heard = as_heard(Heard(channels, car, every), reference)
     tried = heard.sought
-    log, best, spreads, deviations = _fitted(heard, tyre, time_step_s, min_speed_m_s, on_step)
+    fitted = _fitted(heard, tyre, time_step_s, min_speed_m_s, on_step)
+    log, spreads, deviations = fitted.log, fitted.spreads, fitted.deviations
     from_file = spreads + np.where(np.isinf(deviations[0]), 0.0, _read_apart(tried, log.car, car))
     told_of = {
         one.path: tuple(three) for one, *three in zip(tried, from_file, *deviations, strict=True)
@@ -130,29 +130,14 @@ def fit(
     return CarFit(
         _in_new_ratio(after, car),
         found,
-        best.first.nis,
-        best.likelihood.nis,
-        best.first.freedoms,
-        best.converged,
+        fitted.first.nis,
+        fitted.best.likelihood.nis,
+        fitted.first.freedoms,
+        fitted.best.converged,
         heard.reference_rad,
         claim,
+        tuple(tried[place] for place in fitted.far),
     )
-
-
-def likeliest(
-    channels: Mapping[str, ChannelReadings],
-    cars: Sequence[Car],
-    tyre: Tyre,
-    time_step_s: float,
-    min_speed_m_s: float,
-) -> Car:
-    """The car with which the readings of a log are likeliest; other arguments as in `fit`."""
-
-    def value(car: Car) -> float:
-        log = logged_readings(channels, car, time_step_s, min_speed_m_s)
-        return float(np.nan_to_num(values_at(log, tyre, (), np.zeros((1, 0)))[0], nan=np.inf))
-
-    return min(cars, key=value)
 
 
 def _read_apart(tried: tuple[Sought, ...], read: Car, file: Car) -> np.ndarray:
@@ -164,13 +149,19 @@ def _read_apart(tried: tuple[Sought, ...], read: Car, file: Car) -> np.ndarray:
 
 
 class _Fitted(NamedTuple):
-    """The readings, the greatest density, and what it is at: spreads (p,), and their deviations
-    (p,) under the model and robust ones."""
+    """The readings, their likelihood with the file and at the end, and what that is at.
+
+    `spreads` (p,) have deviations (p,) under the model and robust ones. `far` are the places of
+    parameters which the innovations would have elsewhere than the outputs; without any, all is of
+    the innovations.
+    """
 
     log: LoggedReadings
+    first: Likelihood
     best: "_Best"
     spreads: np.ndarray
     deviations: tuple[np.ndarray, np.ndarray]
+    far: tuple[int, ...] = ()
 
 
 def _fitted(
@@ -200,13 +191,14 @@ def _fitted(
 
     samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in tried])
     kept = np.ones(len(tried), dtype=bool)
-    best = _greatest(of(kept), np.zeros(len(tried)), samples)
-    first, told = best.first, _told(tried, _precision(best.likelihood))
+    first, driven = of(kept)(np.zeros(len(tried))), by_output_error(log, tyre, tried)
+    best = _greatest(of(kept), driven.spreads, samples)
+    seen = told(tried, _precision(best.likelihood))
     # Far from the truth a delay that shows much has little curvature.
     before = widths
     widths = widths_of(log, tyre, tried, _at_samples(best.spreads, samples))
-    if not told.all() or (widths != before).any():
-        kept = told
+    if not seen.all() or (widths != before).any():
+        kept = seen
         best = _greatest(of(kept), best.spreads[kept], samples[kept])
     spreads = np.zeros(len(tried))
     spreads[kept] = best.spreads
@@ -214,7 +206,37 @@ def _fitted(
     gradients = [of(kept, read(one))(last).gradient for one in heard.with_errors()]
     moves = [(one - gradients[0]) / SMALL for one in gradients]
     deviations = _deviations(best.likelihood, kept, moves)
-    return _Fitted(log, best._replace(first=first), spreads, deviations)
+    fitted = _Fitted(log, first, best, spreads, deviations)
+    far = np.flatnonzero(driven.is_far(spreads, deviations[0]))
+    if heard.reference_rad is not None or not len(far):
+        return fitted
+    return _with_noise(fitted._replace(far=tuple(far.tolist())), driven, tyre, tried, on_step)
+
+
+def _with_noise(
+    fitted: _Fitted,
+    driven: OutputError,
+    tyre: Tyre,
+    tried: tuple[Sought, ...],
+    on_step: Callable[[], None],
+) -> _Fitted:
+    """The parameters by output error, and noise fitted to the innovations that they leave."""
+    noise = np.array([one.is_noise for one in tried])
+    some = tuple(one for one in tried if one.is_noise)
+    car = car_with(fitted.log.car, tried, driven.spreads)
+
+    def of_noise(spreads: np.ndarray) -> Likelihood:
+        on_step()
+        return likelihood(fitted.log, tyre, some, spreads, np.ones(len(some)), car)
+
+    best = _greatest(of_noise, np.zeros(len(some)), np.zeros(len(some)))
+    spreads = driven.spreads.copy()
+    spreads[noise] = best.spreads
+    std, robust = (
+        np.where(noise, of_noise, driven.std)
+        for of_noise in _deviations(best.likelihood, noise, ())
+    )
+    return fitted._replace(best=best, spreads=spreads, deviations=(std, robust))
 
 
 def _deviations(
@@ -237,7 +259,6 @@ def _deviations(
 class _Best(NamedTuple):
     spreads: np.ndarray
     likelihood: Likelihood
-    first: Likelihood
     converged: bool
 
 
@@ -250,7 +271,7 @@ def _greatest(
     The result is one step away from what was evaluated last.
     """
     damping, at = 0.0, _at_samples(spreads, samples)
-    first = here = of(at)
+    here = of(at)
     best, idle = (at, here), 0
     before = found = None
     for _ in range(_ITERATIONS):
@@ -258,20 +279,20 @@ def _greatest(
         there_at = _at_samples(found, samples)
         same_samples = np.allclose(there_at[samples > 0], at[samples > 0])
         if before is not None and same_samples and _length(found - before, here) < _ENOUGH:
-            return _Best(found, here, first, True)
+            return _Best(found, here, True)
         there = of(there_at)
         gained = _density(best[1], best[0]) - _density(there, there_at)
         idle = 0 if gained > _GAIN else idle + 1
         best = (there_at, there) if gained > 0 else best
         if idle == _IDLE:
             at, here = best
-            return _Best(at + _step(here, at, 0.0, samples), here, first, True)
+            return _Best(at + _step(here, at, 0.0, samples), here, True)
         allowed = _density(here, at) + _length(there_at - found, here)
         if _density(there, there_at) < allowed:
             before, at, here, damping = found, there_at, there, damping / 10
         else:
             damping = max(10 * damping, 0.1)
-    return _Best(at if found is None else found, here, first, False)
+    return _Best(at if found is None else found, here, False)
 
 
 def _density(here: Likelihood, at: np.ndarray) -> float:
@@ -316,21 +337,6 @@ def _at_samples(spreads: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Spreads (p,) with delays at the nearest whole samples."""
     length = np.where(samples > 0, samples, 1.0)
     return np.where(samples > 0, length * np.round(spreads / length), spreads)
-
-
-def _told(every: tuple[Sought, ...], precision: np.ndarray) -> np.ndarray:
-    """Which parameters (p,) to keep: the least known is left out first, as it may hide another."""
-    kept = np.ones(len(every), dtype=bool)
-    noise = np.array([one.is_noise for one in every])
-    while kept.any():
-        std = np.full(len(every), -np.inf)
-        std[kept] = np.sqrt(np.diagonal(np.linalg.inv(precision[np.ix_(kept, kept)])))
-        std[noise] = -np.inf
-        worst = int(np.argmax(std))
-        if std[worst] <= SEEN:
-            break
-        kept[worst] = False
-    return kept
 
 
 def _found(one: Sought, before: float, spreads: float, std: float, robust: float) -> FoundParameter:

@@ -14,9 +14,18 @@ from concord.filters.update import Update
 from concord.plants.angles import wrapped
 from concord.plants.vehicle.corrections import SENSORS_OF_NODES, earlier, earlier_by
 from concord.plants.vehicle.model import SingleTrack, Tyre, axles_of
-from concord.plants.vehicle.network import SIDE_SLIP, SPEED, YAW_RATE, DrivenCar, sensor
+from concord.plants.vehicle.network import (
+    SIDE_SLIP,
+    SPEED,
+    STEERING,
+    YAW_RATE,
+    DrivenCar,
+    sensor,
+)
 from concord.plants.vehicle.parameters import Car
 
+OUTPUTS = ("yaw_rate", "lateral_acceleration", "side_slip")
+"""The sensors of what steering and speed drive."""
 BLOCK_SAMPLES = 200
 """Innovations that are kept at a time."""
 
@@ -72,6 +81,33 @@ class LaneFilter:
             )
             belief = found.belief
             yield reading, counts, found
+
+    def left_over(self) -> np.ndarray:
+        """Return the readings (steps, lanes, m) of `OUTPUTS` less those of the cars that the logged
+        steering and speed drive; NaN for other sensors, and for readings that do not count."""
+        readings, counted = self._readings()
+        told = np.where(counted & np.isin(self._log.sensors, OUTPUTS), readings, np.nan)
+        steering = self._driving(readings, "steering") - self._sheets.steering.offset
+        speed = self._driving(readings, "wheel_speed")
+        state = np.broadcast_to(self._log.start.mean, (self._count, self._states)).copy()
+        left = np.empty_like(readings)
+        for step in range(len(readings)):
+            state[:, STEERING], state[:, SPEED] = steering[step] / self._gain, speed[step]
+            left[step] = self._residual(told[step], self._measure(state))
+            state = self._model.transition(state, None, step)
+        return left
+
+    def _driving(self, readings: np.ndarray, sensor: str) -> np.ndarray:
+        """The mean (steps, lanes) of the readings of a sensor, on lines between them."""
+        steps, every = np.arange(len(readings)), []
+        for place in np.flatnonzero(np.equal(self._log.sensors, sensor)):
+            lanes = readings[..., place].T
+            known = [np.isfinite(lane) for lane in lanes]
+            every.append(
+                [np.interp(steps, steps[k], y[k]) for k, y in zip(known, lanes, strict=True)]
+            )
+        mean: np.ndarray = np.mean(every, axis=0).T
+        return mean
 
     def _readings(self) -> tuple[np.ndarray, np.ndarray]:
         """The readings (steps, lanes, m), moved by the delays of each lane beyond the car's, and

@@ -20,6 +20,7 @@ from concord.experiments.identification.logged_readings import LoggedReadings
 from concord.experiments.identification.scatter import scatter_of
 from concord.experiments.identification.sought import Sought, car_with
 from concord.plants.vehicle.model import Tyre
+from concord.plants.vehicle.parameters import Car
 
 DIFFERENCE = 1e-5
 """Of a parameter, in spreads."""
@@ -56,15 +57,16 @@ def likelihood(
     sought: tuple[Sought, ...],
     spreads: np.ndarray,
     widths: np.ndarray,
+    car: Car | None = None,
 ) -> Likelihood:
-    """The likelihood of a log for parameters so many spreads (p,) from those of its car.
+    """The likelihood of a log for parameters so many spreads (p,) from those of `car`, or its own.
 
     Delays count as the whole samples next to them, which is exact: the readings move by so many.
     Differences by delays reach over `widths` (p,) samples (`widths_of`).
     """
     lanes = _Lanes.of(sought, log.time_step_s, widths)
     moved = spreads + lanes.moved
-    filtered = LaneFilter(log, car_with(log.car, sought, moved), tyre, len(moved))
+    filtered = LaneFilter(log, car_with(car or log.car, sought, moved), tyre, len(moved))
     totals = _Sums(lanes, round(CORRELATED_S / log.time_step_s))
     for innovation, cov in filtered.blocks():
         totals.add(innovation, cov)

@@ -174,6 +174,22 @@ def car_with(car: Car, sought: Sequence[Sought], spreads: np.ndarray) -> Car:
     return car
 
 
+def told(every: tuple[Sought, ...], precision: np.ndarray) -> np.ndarray:
+    """Which parameters (p,) of this precision (p, p) to keep, in spreads: the least known is left
+    out first, as it may hide another."""
+    kept = np.ones(len(every), dtype=bool)
+    noise = np.array([one.is_noise for one in every])
+    while kept.any():
+        std = np.full(len(every), -np.inf)
+        std[kept] = np.sqrt(np.diagonal(np.linalg.inv(precision[np.ix_(kept, kept)])))
+        std[noise] = -np.inf
+        worst = int(np.argmax(std))
+        if std[worst] <= SEEN:
+            break
+        kept[worst] = False
+    return kept
+
+
 def process_noise_covs(noise: ProcessNoise, time_step_s: float, states: int) -> np.ndarray:
     """Covariances (..., states, states) of a step, for values (...) of the noise."""
     std = np.stack(np.broadcast_arrays(*noise.std[:states]), axis=-1)

@@ -21,6 +21,7 @@ from msgspec import structs
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.model import Axles, SingleTrack, Tyre, tanh_tyre
 from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.validity import SLOWEST_M_S
 
 MODEL_STEP_S = 0.005
 """Of the model; drives are interpolated to it, for slow cars are stiff."""
@@ -62,7 +63,7 @@ def identify(
     tyre: Tyre = tanh_tyre,
     *,
     seek_friction: bool = False,
-    min_speed_m_s: float = 5.0,
+    min_speed_m_s: float = SLOWEST_M_S,
     model: ModelOfDrive = SingleTrack,
 ) -> Identified:
     """Return the tyres of a car that fit a drive best, starting from the car's own.
