@@ -73,8 +73,10 @@ def _least(
         lanes = there + np.concatenate([np.zeros((1, len(each))), _DIFFERENCE * each])
         left = LaneFilter(log, car_with(log.car, sought, lanes), tyre, len(lanes)).left_over()
         # Delays move different readings to the ends, which count in no lane then.
-        there_in_all: np.ndarray = np.isfinite(left).all(axis=1)
-        left = np.where(there_in_all[:, None], left, 0.0)[..., there_in_all.any(axis=0)]
+        there_in_all = np.all(np.isfinite(left), axis=1)
+        left = np.where(np.expand_dims(there_in_all, 1), left, 0.0)[
+            ..., np.any(there_in_all, axis=0)
+        ]
         squares = (left[:, 0] ** 2).sum(axis=0)
         cost = float(lasting * np.log(squares).sum() + there @ there) / 2
         if cost < least:
