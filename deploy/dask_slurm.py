@@ -27,7 +27,7 @@ def main(jobs: int) -> None:
         cluster.scale(jobs=jobs)
         sys.stdout.write(f"{cluster.scheduler_address}\n")
         sys.stdout.flush()
-        # Ctrl-C cancels the jobs.
+        # Ctrl-C cancels the jobs. Where another thread gets its signal, `signal.pause` would go on.
         with contextlib.suppress(KeyboardInterrupt):
             while True:
                 time.sleep(1.0)

@@ -1,5 +1,8 @@
 """Parameters of a car with the greatest likelihood of a drive, and what the drive does not tell.
 
+Output error gives the start (`output_error.py`). It also gives all but noise where the likeliest
+values contradict it.
+
 Method: Fisher scoring with a prior, damped where a step makes the likelihood worse. A parameter
 that is not a noise stays at its value in the file if the drive leaves more than half of its prior
 deviation; then the others are fitted again. Intervals are of 95 %. They have the robust covariance

@@ -44,7 +44,13 @@ class OutputError(NamedTuple):
 
 
 def by_output_error(log: LoggedReadings, tyre: Tyre, sought: tuple[Sought, ...]) -> OutputError:
-    """Return the parameters with which the model follows a drive best."""
+    """Return the parameters with which the model follows a drive best.
+
+    Args:
+        log: its car is the prior.
+        tyre: law of the lateral force.
+        sought: parameters (p,) of the car; noise among them stays as it is.
+    """
     kept = np.array([not one.is_noise for one in sought])
 
     def some() -> tuple[Sought, ...]:
