@@ -130,11 +130,11 @@ def _least_trace(task: BarrierTask, point: _Point) -> np.ndarray:
     rows[:, -2:, 0], rows[:, -1, 1] = -1.0, -of_matrix[:, 0]
     most = np.concatenate((point.gradient, np.zeros((len(corners), 2))), axis=-1)
     cost = np.stack(((constant**2).sum(-1), np.ones(len(corners))), axis=-1)
-    best: np.ndarray = 2.0 * point.trace - first - _least_cost(rows, most, cost)
+    best: np.ndarray = 2.0 * point.trace - first - least_cost(rows, most, cost)
     return np.maximum(best, 0.0)
 
 
-def _least_cost(rows: np.ndarray, most: np.ndarray, cost: np.ndarray) -> np.ndarray:
+def least_cost(rows: np.ndarray, most: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """The least cost (L,) of two variables x with rows (L, k, 2) x <= most (L, k); inf without one.
 
     It is at a corner, where two of the rows hold with equality.
@@ -154,6 +154,8 @@ def _least_cost(rows: np.ndarray, most: np.ndarray, cost: np.ndarray) -> np.ndar
     corner = np.arange(len(one))
     within[:, corner, one] = within[:, corner, other] = True
     found = within.all(-1) & np.isfinite(first) & np.isfinite(second)
+    # Parallel rows meet nowhere, or at infinity, where a cost is no number.
+    first, second = np.where(found, first, 0.0), np.where(found, second, 0.0)
     costs = cost[:, :1] * first + cost[:, 1:] * second
     least: np.ndarray = np.where(found, costs, np.inf).min(-1)
     return least

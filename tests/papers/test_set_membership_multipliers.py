@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
+from concord.filters.sets.barrier_path import least_cost
 from concord.filters.sets.criterion import plain_trace
 from concord.filters.sets.ellipsoid import sum_factor
 from concord.filters.sets.multipliers import (
@@ -90,6 +92,21 @@ def test_any_feasible_multipliers_prove_an_ellipsoid_but_none_a_smaller_one(seed
         bound = certified_bound(problem, other)
         trace = (bound.factor**2).sum()
         assert np.isnan(trace) or trace >= least * (1 - 1e-5)
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS)
+def test_the_least_cost_of_two_variables_is_that_of_a_linear_programme(seed: int):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((4, 6, 2))
+    rows[:, 3] = -2.0 * rows[:, 2]  # Parallel rows, which meet nowhere.
+    rows[:, 4], rows[:, 5] = (-1.0, 0.0), (0.0, -1.0)
+    most, cost = rng.standard_normal((4, 6)), rng.uniform(0.1, 2.0, (4, 2))
+    most[:, 4:] = 0.0
+    for lane, least in enumerate(least_cost(rows, most, cost)):
+        solved = linprog(cost[lane], rows[lane], most[lane])
+        expected = solved.fun if solved.status == 0 else np.inf
+        assert least == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
 @settings(max_examples=25)
