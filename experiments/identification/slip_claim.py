@@ -20,7 +20,8 @@ from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.network import SIDE_SLIP
 from concord.plants.vehicle.parameters import Car
 
-_FACTORS = 2.0 ** np.arange(0.0, 6.5, 0.5)
+FACTORS = 2.0 ** np.arange(0.0, 6.5, 0.5)
+"""Of noise, tried side by side."""
 _UNHEARD_RAD = 10.0
 """Noise of a slip sensor that tells nothing."""
 
@@ -55,7 +56,7 @@ def slip_claim(
         by_reference: whether the side slip is that of a reference. Its errors add to the difference
             from the filter's, and those that both share cancel: it stands for the truth.
     """
-    sheet, count, lanes = car.sensors.side_slip, len(_FACTORS), covering(car, least_rad, _FACTORS)
+    sheet, count, lanes = car.sensors.side_slip, len(FACTORS), covering(car, least_rad, FACTORS)
     known = 0.0 if by_reference else sheet.noise**2
     deaf = replace(lanes.sensors, side_slip=replace(sheet, noise=_UNHEARD_RAD))
     filtered = LaneFilter(log, replace(lanes, sensors=deaf), tyre, count)
@@ -73,10 +74,18 @@ def slip_claim(
     every = np.stack(squares)
     judged, factor = anees_interval(every[:, 0]), 1.0
     if by_reference or judged.low > 1:
-        # Means fall with the factor.
-        factor = np.exp(np.interp(0.0, -np.log(every.mean(axis=0)), np.log(_FACTORS))).item()
-    total = np.interp(np.log(factor), np.log(_FACTORS), totals)
+        factor = least_covering(every.mean(axis=0))
+    total = np.interp(np.log(factor), np.log(FACTORS), totals)
     return SlipClaim(judged, factor, float(total) / freedoms)
+
+
+def least_covering(anees: np.ndarray) -> float:
+    """The least factor with which ANEES is 1, given those (k,) of `FACTORS`; the best without one.
+
+    ANEES falls with the factor, until the sigma points are too far apart for the tyres.
+    """
+    fallen = np.minimum.accumulate(anees[: anees.argmin() + 1])
+    return float(np.exp(np.interp(0.0, -np.log(fallen), np.log(FACTORS[: len(fallen)]))))
 
 
 def covering(car: Car, least_rad: float, factor: np.ndarray | float) -> Car:
