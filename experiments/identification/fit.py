@@ -3,7 +3,7 @@
 Output error gives the start (`output_error.py`). It also gives all but noise where the likeliest
 values contradict it.
 
-Method: Fisher scoring with a prior, damped where a step makes the likelihood worse. A parameter
+Method: Fisher scoring with a prior (`scoring.py`). A parameter
 that is not a noise stays at its value in the file if the drive leaves more than half of its prior
 deviation; then the others are fitted again. Intervals are of 95 %. They have the robust covariance
 M^-1 J M^-1, of the information M and the scatter J of the scores (White 1982, Maximum likelihood
@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from concord.experiments.identification.likelihood import Likelihood, likelihood, widths_of
 from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
 from concord.experiments.identification.output_error import OutputError, by_output_error
+from concord.experiments.identification.scoring import Best, at_samples, greatest, precision
 from concord.experiments.identification.slip_claim import SlipClaim, covering, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
 from concord.experiments.identification.sought import (
@@ -36,11 +37,6 @@ from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car
 
 NORMAL_95 = 1.959964
-_ITERATIONS, _ENOUGH, _LONGEST = 40, 0.01, 1.0
-"""Most steps; least squared length of a step in standard deviations; longest step in spreads."""
-_IDLE, _GAIN = 4, 0.1
-"""The fit ends where so many steps in turn gain no more than this of the log density: where a delay
-lies between two samples, steps to either side follow each other without end."""
 
 
 class FoundParameter(NamedTuple):
@@ -161,7 +157,7 @@ class _Fitted(NamedTuple):
 
     log: LoggedReadings
     first: Likelihood
-    best: "_Best"
+    best: Best
     spreads: np.ndarray
     deviations: tuple[np.ndarray, np.ndarray]
     far: tuple[int, ...] = ()
@@ -195,17 +191,17 @@ def _fitted(
     samples = np.array([time_step_s / one.spread if one.is_delay else 0.0 for one in tried])
     kept = np.ones(len(tried), dtype=bool)
     first, driven = of(kept)(np.zeros(len(tried))), by_output_error(log, tyre, tried)
-    best = _greatest(of(kept), driven.spreads, samples)
-    seen = told(tried, _precision(best.likelihood))
+    best = greatest(of(kept), driven.spreads, samples)
+    seen = told(tried, precision(best.likelihood))
     # Far from the truth a delay that shows much has little curvature.
     before = widths
-    widths = widths_of(log, tyre, tried, _at_samples(best.spreads, samples))
+    widths = widths_of(log, tyre, tried, at_samples(best.spreads, samples))
     if not seen.all() or (widths != before).any():
         kept = seen
-        best = _greatest(of(kept), best.spreads[kept], samples[kept])
+        best = greatest(of(kept), best.spreads[kept], samples[kept])
     spreads = np.zeros(len(tried))
     spreads[kept] = best.spreads
-    last = _at_samples(best.spreads, samples[kept])
+    last = at_samples(best.spreads, samples[kept])
     gradients = [of(kept, read(one))(last).gradient for one in heard.with_errors()]
     moves = [(one - gradients[0]) / SMALL for one in gradients]
     deviations = _deviations(best.likelihood, kept, moves)
@@ -232,7 +228,7 @@ def _with_noise(
         on_step()
         return likelihood(fitted.log, tyre, some, spreads, np.ones(len(some)), car)
 
-    best = _greatest(of_noise, np.zeros(len(some)), np.zeros(len(some)))
+    best = greatest(of_noise, np.zeros(len(some)), np.zeros(len(some)))
     spreads = driven.spreads.copy()
     spreads[noise] = best.spreads
     std, robust = (
@@ -252,94 +248,11 @@ def _deviations(
     Estimation and inference in two-step econometric models).
     """
     std, robust = np.full((2, len(kept)), np.inf)
-    cov = np.linalg.inv(_precision(here))
+    cov = np.linalg.inv(precision(here))
     std[kept] = np.sqrt(np.diagonal(cov))
     scatter = here.scatter + np.eye(len(cov)) + sum(np.outer(move, move) for move in moves)
     robust[kept] = np.minimum(np.sqrt(np.diagonal(cov @ scatter @ cov)), 1.0)
     return std, robust
-
-
-class _Best(NamedTuple):
-    spreads: np.ndarray
-    likelihood: Likelihood
-    converged: bool
-
-
-def _greatest(
-    of: Callable[[np.ndarray], Likelihood], spreads: np.ndarray, samples: np.ndarray
-) -> _Best:
-    """Return the parameters (p,) with the greatest posterior density, by damped scoring.
-
-    A delay is evaluated at whole samples, of the lengths `samples` (p,), which are 0 for all else.
-    The result is one step away from what was evaluated last.
-    """
-    damping, at = 0.0, _at_samples(spreads, samples)
-    here = of(at)
-    best, idle = (at, here), 0
-    before = found = None
-    for _ in range(_ITERATIONS):
-        found = at + _step(here, at, damping, samples)
-        there_at = _at_samples(found, samples)
-        same_samples = np.allclose(there_at[samples > 0], at[samples > 0])
-        if before is not None and same_samples and _length(found - before, here) < _ENOUGH:
-            return _Best(found, here, True)
-        there = of(there_at)
-        gained = _density(best[1], best[0]) - _density(there, there_at)
-        idle = 0 if gained > _GAIN else idle + 1
-        best = (there_at, there) if gained > 0 else best
-        if idle == _IDLE:
-            at, here = best
-            return _Best(at + _step(here, at, 0.0, samples), here, True)
-        allowed = _density(here, at) + _length(there_at - found, here)
-        if _density(there, there_at) < allowed:
-            before, at, here, damping = found, there_at, there, damping / 10
-        else:
-            damping = max(10 * damping, 0.1)
-    return _Best(at if found is None else found, here, False)
-
-
-def _density(here: Likelihood, at: np.ndarray) -> float:
-    """The negative logarithm of the posterior density, but for a constant."""
-    return here.value + float(at @ at) / 2
-
-
-def _length(step: np.ndarray, here: Likelihood) -> float:
-    """The squared length of a step in standard deviations."""
-    return float(step @ _precision(here) @ step)
-
-
-def _step(here: Likelihood, at: np.ndarray, damping: float, samples: np.ndarray) -> np.ndarray:
-    """The step from spreads (p,) to the top of the parabola there, not too long."""
-    precision = _precision(here)
-    gradient = here.gradient + at
-    step = -np.linalg.solve(precision + damping * np.diag(np.diagonal(precision)), gradient)
-    step = np.where(samples > 0, np.clip(step, -samples, samples), step)
-    return step * min(1.0, _LONGEST / np.abs(step).max())
-
-
-def _precision(here: Likelihood) -> np.ndarray:
-    """The precision of the parameters (p, p), that of the prior included.
-
-    The bend of a delay replaces its information where the likelihood bends upwards; products with
-    other parameters shrink until the matrix is positive definite.
-    """
-    precision = here.information + np.eye(len(here.bends))
-    bent = here.bends > 0
-    precision[bent, bent] = here.bends[bent] + 1
-    apart = precision.copy()
-    apart[bent, :] = apart[:, bent] = 0.0
-    apart[bent, bent] = precision[bent, bent]
-    for share in (0.0, 0.1, 0.3, 0.6):
-        mixed = (1 - share) * precision + share * apart
-        if np.linalg.eigvalsh(mixed)[0] > 0.5:
-            return mixed
-    return apart
-
-
-def _at_samples(spreads: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Spreads (p,) with delays at the nearest whole samples."""
-    length = np.where(samples > 0, samples, 1.0)
-    return np.where(samples > 0, length * np.round(spreads / length), spreads)
 
 
 def _found(one: Sought, before: float, spreads: float, std: float, robust: float) -> FoundParameter:

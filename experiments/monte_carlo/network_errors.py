@@ -36,7 +36,8 @@ class NetworkErrors(NamedTuple):
         centre: (R, S, m), of one filter that hears everything.
         spread: (R, S, N, m), from the average of the nodes that believe something. NaN for tracks:
             no average of sets of tracks is defined.
-        nees, nees_centre: (R, S, N) and (R, S), per state. NaN where estimates are sets.
+        nees, nees_centre: (R, S, N) and (R, S), per state. NaN where estimates are sets, and in
+            steps for which the model does not hold: there it cannot tell its errors.
     """
 
     nodes: np.ndarray
@@ -66,8 +67,8 @@ def network_errors(
         nees, nees_centre = np.full_like(nees, np.nan), np.full(nees.shape[:2], np.nan)
     else:
         nees_centre = scored_nees(setup.scenario, of_centre, symmetrise(centre.cov))
-    states = len(score.nees_states)
-    consistency = nees / states, nees_centre / states
+    states, held = len(score.nees_states), np.logical_not(outside_steps(setup, centre.mean))
+    consistency = (where_counted(held, one / states) for one in (nees, nees_centre))
     if known.tracks:
         runs = list(zip(known.tracks, known.readings, strict=True))
         nodes = np.stack([tracks.distances() for tracks, _ in runs])[..., None]
@@ -75,6 +76,19 @@ def network_errors(
         return NetworkErrors(nodes, hears_all, np.full_like(nodes, np.nan), *consistency)
     of_nodes = (mean - known.truth[:, :, None])[..., list(score.states)]
     return NetworkErrors(of_nodes, of_centre[..., list(score.states)], spread, *consistency)
+
+
+def outside_reasons(setup: Setup, mean: np.ndarray) -> dict[str, np.ndarray] | None:
+    """Where estimates (R, S, n) are outside the model, by the reason; None for one that always
+    holds."""
+    outside = definition_of(setup.scenario).outside
+    return None if outside is None else outside(setup.scenario, mean)
+
+
+def outside_steps(setup: Setup, mean: np.ndarray) -> np.ndarray:
+    """The steps (R, S) in which estimates (R, S, n) are outside the model for any reason."""
+    reasons = outside_reasons(setup, mean) or {}
+    return np.logical_or.reduce([np.zeros(mean.shape[:2], dtype=bool), *reasons.values()])
 
 
 def errors_alone(setup: Setup, known: RunTruths, mean: np.ndarray) -> np.ndarray:

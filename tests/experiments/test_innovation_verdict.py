@@ -183,6 +183,8 @@ def test_process_noise_that_covers_the_tyres_is_no_wrong_claim():
     sentence = innovation_verdict(*given, slip=SlipEvidence(FITTING, True))
     assert sentence.startswith("consistent: the side slip errs as the filter")
     assert "innovations alone would say underconfident: " in sentence
+    untold = innovation_verdict(*given, slip=SlipEvidence(UNKNOWN, False))
+    assert untold.startswith("undecided: this drive does not tell how far the side slip errs; ")
     less = innovation_verdict(*given, slip=SlipEvidence(Interval(0.3, 0.2, 0.4), True))
     assert less.startswith("underconfident: ")
     # A rule that claims too little is at fault beside a filter that claims what it knows.
@@ -198,6 +200,20 @@ def test_an_offset_beside_another_cause_is_named_too():
     assert "NIS of node 0's speed" in sentence
     assert sentence.endswith("besides, node 2's yaw rate reads 0.02 rad/s (95 %: 0.018 to 0.022) "
                              "off its prediction")  # fmt: skip
+
+
+@pytest.mark.parametrize(("shift", "lead"), [(0.2, "underconfident"), (-0.9, "biased")])
+def test_small_innovations_of_one_channel_are_no_caution_beside_an_offset(shift: float, lead: str):
+    """A real car, whose steering read 8 degrees too much, was called underconfident."""
+    noisy, off = Channel(1, 0, 1, "lateral acceleration", "m/s²"), OFF._replace(shift=shift)
+    diagnosis = Diagnosis(Cause.NOISE_TOO_LARGE, noisy, TOO_SMALL, 1, (YAW, off))
+    given = scenario("vehicle-network"), diagnosis, FITTING, UNKNOWN, UNKNOWN
+    for named in ("", "of single values of car.toml, rear stiffness explains most"):
+        sentence = innovation_verdict(*given, named)
+        assert sentence.startswith(f"{lead}: NIS of node 1's lateral acceleration is")
+        assert named in sentence
+        if lead == "biased":
+            assert "besides, node 2's yaw rate reads 0.02 rad/s" in sentence
 
 
 def test_too_few_readings_are_no_verdict():

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from concord.experiments.monte_carlo.network_errors import RunTruths, network_errors
 from concord.experiments.results.bus_report import figures_of
 from concord.experiments.results.innovations.of_run import (
     innovation_variables,
@@ -17,6 +18,7 @@ from concord.experiments.results.innovations.of_run import (
 )
 from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.filter import LearningFilter
+from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured
 from concord.plants.vehicle.cars import FITTED_CARS
 from concord.plants.vehicle.drive_log import write_drive
@@ -24,7 +26,7 @@ from concord.plants.vehicle.manoeuvres import MANOEUVRES
 from concord.plants.vehicle.network import SIDE_SLIP, SPEED, STATE_NAMES
 from concord.plants.vehicle.parameters import ProcessNoise, SensorSheet, SensorSheets
 from concord.runtime.drivers import in_memory
-from concord.scenarios.baselines import local_only
+from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.build import build_node, filter_of
 from concord.scenarios.catalogue import definition_named, scored_nees
 from concord.scenarios.preparation import prepare
@@ -146,6 +148,20 @@ def test_steps_outside_the_model_are_not_judged_and_the_verdict_says_so():
     np.testing.assert_array_equal(
         innovation_variables(prepared, found)["outside_model"][1], np.arange(240) >= 230
     )
+
+
+def test_claims_are_judged_only_where_the_model_holds():
+    prepared = setup(steps=240, noise="matched")
+    trace = run(prepared)
+    centre = centralised(prepared, trace.readings, trace.control)
+    centre.mean[230:, SPEED] = 2.0
+    known = RunTruths(trace.truth[None], trace.readings[None])
+    nees = np.ones((1, 240, prepared.scenario.nodes))
+    one_run = Gaussian(centre.mean[None], centre.cov[None])
+    errors = network_errors(prepared, known, trace.mean[None], nees, one_run)
+    for judged in (errors.nees[0, :, 0], errors.nees_centre[0]):
+        np.testing.assert_array_equal(np.isnan(judged), np.arange(240) >= 230)
+    assert np.isfinite(errors.nodes).all()
 
 
 def test_process_noise_is_that_of_the_cars_file_times_the_option(tmp_path: Path):

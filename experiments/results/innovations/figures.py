@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 
 from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.network_errors import outside_reasons, outside_steps
 from concord.experiments.results.innovations.channel_test import (
     ChannelTest,
     channel_test,
@@ -82,11 +83,9 @@ class Outside(NamedTuple):
 
 def outside_model(setup: Setup, belief: Gaussian, counted: np.ndarray) -> Outside:
     """Where estimates (R, S, n) are outside the model, among the steps that count (R, S)."""
-    outside = definition_of(setup.scenario).outside
-    if outside is None:
-        return Outside(np.zeros_like(counted), None)
-    reasons = outside(setup.scenario, belief.mean)
-    steps = np.logical_or.reduce(list(reasons.values()))
+    steps, reasons = outside_steps(setup, belief.mean), outside_reasons(setup, belief.mean)
+    if reasons is None:
+        return Outside(steps, None)
     each = {"any": steps, **reasons}
     shares = {name: float(there[counted].mean()) for name, there in each.items() if counted.any()}
     return Outside(steps, shares)

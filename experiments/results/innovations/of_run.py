@@ -90,11 +90,10 @@ def judged(
 
     Steps for which the model does not hold do not count.
     `nees` (R, S) is the mean of the nodes' normalised errors squared in each step, per state; NaN
-    where it is not known.
+    where it is not known, or the model does not hold.
     """
     outside = outside_model(setup, heard.belief, counted)
     counted = counted & ~outside.steps
-    nees = np.where(outside.steps, np.nan, nees)
     own, all_ = (
         Innovations(*(where_counted(counted, part) for part in accepted(setup, one)))
         for one in (own, heard.innovations)

@@ -22,6 +22,8 @@ ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
 
 _ABSURD = 100.0
 """NIS of a logged channel that no noise explains."""
+_MATTERS = 0.5
+"""Standard deviations of a mean beside which small innovations are no caution."""
 _ALL_ALIKE = {
     Cause.ALL_NOISE_TOO_SMALL: (
         "{figures}, and other sensors are alike; their noise is larger than the filter's R: raise R"
@@ -96,20 +98,22 @@ def _beside_errors(lead: str, said: str, anees: Interval, slip: SlipEvidence | N
         return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
     if slip is None:
         return f"{lead}: {said}"
-    if lead == "underconfident" and not claims and not np.isnan(found.low):
-        return f"consistent: {errors}; innovations alone would say {lead}: {said}"
+    if lead == "underconfident" and not claims:
+        # Noise that covers lasting errors of the tyres leaves small innovations as well.
+        of_slip = "undecided" if np.isnan(found.low) else "consistent"
+        return f"{of_slip}: {errors}; innovations alone would say {lead}: {said}"
     return f"{lead}: {said}; {errors}"
 
 
 def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[str, str]:
     assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
     test = diagnosis.test
-    lead = _lead(diagnosis.cause, test)
+    lead, besides = _lead(diagnosis), _besides(diagnosis)
     figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
     if named and test.nis.value > _ABSURD:
         return lead, f"{figures}; look at units, signs and stamps in columns.toml before car.toml"
     if named:
-        return lead, f"{figures}; {named}"
+        return lead, f"{figures}{besides if lead == 'biased' else ''}; {named}"
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
         figures=figures,
         mean=_mean(test, diagnosis.channel),
@@ -122,10 +126,15 @@ def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[
     if diagnosis.cause in _OF_ONE and diagnosis.others:
         plural = "channels deviate" if diagnosis.others > 1 else "channel deviates"
         said += f"; {diagnosis.others} more {plural}, less so"
-    if diagnosis.shifted is not None and diagnosis.shifted[0] != diagnosis.channel:
-        channel, off = diagnosis.shifted
-        said += f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
-    return lead, said
+    return lead, said + besides
+
+
+def _besides(diagnosis: Diagnosis) -> str:
+    """The channel with the largest offset, where it is another than that of the cause."""
+    if diagnosis.shifted is None or diagnosis.shifted[0] == diagnosis.channel:
+        return ""
+    channel, off = diagnosis.shifted
+    return f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
 
 
 def outside_in_words(shares: dict[str, float] | None) -> str:
@@ -147,12 +156,16 @@ def label(channel: Channel) -> str:
     return f"node {channel.node}'s {channel.name}"
 
 
-def _lead(cause: Cause, test: ChannelTest) -> str:
+def _lead(diagnosis: Diagnosis) -> str:
+    test, shifted = diagnosis.test, diagnosis.shifted
+    assert test is not None, "a cause has a test"
     if test.nis.low > 1:
         return "overconfident"
+    if shifted is not None and abs(shifted[1].shift) > _MATTERS:
+        return "biased"
     if test.nis.high < 1:
         return "underconfident"
-    return "biased" if cause is Cause.OFFSET else "coloured"
+    return "biased" if diagnosis.cause is Cause.OFFSET else "coloured"
 
 
 def _of_estimates(
