@@ -34,7 +34,12 @@ from concord.plants.vehicle.model import linear_tyre, tanh_tyre
 from concord.plants.vehicle.parameters import Car, car_to_toml
 from concord.plants.vehicle.sensors import TEST_CAR, logged
 from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
-from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified, identify
+from concord.plants.vehicle.tyre_identification import (
+    LEAST_CORNERING_M_S2,
+    MODEL_STEP_S,
+    Identified,
+    identify,
+)
 from concord.plants.vehicle.validity import SLOWEST_M_S
 from concord.runtime.disk import writing
 from concord.scenarios.definitions.vehicle_network import TIME_STEP_S
@@ -96,6 +101,8 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
             seek_friction=options.friction,
             min_speed_m_s=options.min_speed,
         )
+        if options.seek == "tyres":
+            _require_curves(found, options.min_speed)
         fitted = _everything(options, given, found) if options.seek == "everything" else None
     if fitted is not None:
         found = found._replace(car=fitted.car)
@@ -108,7 +115,7 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
         return
     console = Console()
     console.print(table_of(findings, given.drive, given.car))
-    for line in in_words(findings):
+    for line in in_words(findings, given.drive.time_step_s * given.drive.steps):
         console.print(line, highlight=False)
 
 
@@ -126,6 +133,16 @@ def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) ->
         reference=reference,
         on_step=lambda: _say("."),
     )
+
+
+def _require_curves(found: Identified, min_speed_m_s: float) -> None:
+    if found.cornering_m_s2 < LEAST_CORNERING_M_S2:
+        raise ValueError(
+            f"--seek tyres: from {min_speed_m_s:g} m/s on the car corners with "
+            f"{found.cornering_m_s2:.1f} m/s² at most, which tells nothing of the tyres; give a "
+            f"drive with fast curves of {LEAST_CORNERING_M_S2:g} m/s² or more, correct the units "
+            "of the log, or leave --seek out"
+        )
 
 
 def _say(sign: str) -> None:

@@ -13,8 +13,10 @@ from concord.experiments.identification.without_slip import HIDDEN
 from concord.experiments.results.innovations.channel_test import nis_interval
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.parameters import Car
-from concord.plants.vehicle.tyre_identification import Identified
+from concord.plants.vehicle.tyre_identification import LEAST_CORNERING_M_S2, Identified
 
+_WHOLE_S = 0.5
+"""At the ends of a drive, where not all channels have begun or some have ended."""
 _GROWN = 10.0
 """A noise that is found so many times as large as in the file may hide an error of another kind."""
 
@@ -48,9 +50,9 @@ class Findings(msgspec.Struct, frozen=True):
 
     car: str
     front_stiffness_n_rad: float
-    front_std_n_rad: float
+    front_std_n_rad: float | None
     rear_stiffness_n_rad: float
-    rear_std_n_rad: float
+    rear_std_n_rad: float | None
     friction: float
     friction_std: float | None
     steering_offset_rad: float
@@ -58,6 +60,8 @@ class Findings(msgspec.Struct, frozen=True):
     lateral_acceleration_rms_m_s2: float | None
     side_slip_rms_rad: float | None
     condition: float
+    part_s: tuple[float, float]
+    cornering_m_s2: float
     parameters: list[ParameterFigures] = []
     nis_before: float | None = None
     nis_after: float | None = None
@@ -79,9 +83,9 @@ def findings_of(found: Identified, before: Car, fitted: CarFit | None) -> Findin
     tyres = Findings(
         car=found.car.name,
         front_stiffness_n_rad=found.car.front_stiffness_n_rad,
-        front_std_n_rad=float(front_std),
+        front_std_n_rad=_known(front_std),
         rear_stiffness_n_rad=found.car.rear_stiffness_n_rad,
-        rear_std_n_rad=float(rear_std),
+        rear_std_n_rad=_known(rear_std),
         friction=found.car.friction,
         friction_std=_known(found.friction_std),
         steering_offset_rad=found.steering_offset_rad,
@@ -89,6 +93,8 @@ def findings_of(found: Identified, before: Car, fitted: CarFit | None) -> Findin
         lateral_acceleration_rms_m_s2=_known(acceleration),
         side_slip_rms_rad=_known(side_slip),
         condition=found.condition,
+        part_s=found.part_s,
+        cornering_m_s2=found.cornering_m_s2,
     )
     if fitted is None:
         return tyres
@@ -183,10 +189,21 @@ def _interval(one: ParameterFigures) -> str:
     return f"{one.low:.4g} to {one.high:.4g}" if one.seen else f"below {one.high:.4g}"
 
 
-def in_words(f: Findings) -> Iterator[str]:
-    """Name the parameters that the drive did not show, and NIS before and after."""
+def in_words(f: Findings, duration_s: float) -> Iterator[str]:
+    """Name what a drive of that duration did not show, and NIS before and after."""
+    start_s, end_s = f.part_s
+    if end_s - start_s < duration_s - _WHOLE_S:
+        yield (
+            f"What is left over is that of the part from {start_s:.1f} to {end_s:.1f} s: elsewhere "
+            "the log has gaps in steering or speed."
+        )
     if f.nis_interval is None:
         return
+    if f.front_std_n_rad is None:
+        yield (
+            f"The car corners with {f.cornering_m_s2:.1f} m/s² at most, which tells little of the "
+            f"tyres. Drive curves of {LEAST_CORNERING_M_S2:g} m/s² or more for these."
+        )
     unseen = [one.name for one in f.parameters if one.high is None]
     if unseen:
         yield f"Not seen in this drive, left as they were: {', '.join(unseen)}."

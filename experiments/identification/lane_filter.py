@@ -88,7 +88,9 @@ class LaneFilter:
         readings, counted = self._readings()
         told = np.where(counted & np.isin(self._log.sensors, OUTPUTS), readings, np.nan)
         steering = self._driving(readings, "steering") - self._sheets.steering.offset
-        speed = self._driving(readings, "wheel_speed")
+        speed = self._log.speed_m_s[:, None]
+        if "wheel_speed" in self._log.sensors:
+            speed = self._driving(readings, "wheel_speed")
         state = np.broadcast_to(self._log.start.mean, (self._count, self._states)).copy()
         left = np.empty_like(readings)
         for step in range(len(readings)):

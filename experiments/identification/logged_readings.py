@@ -37,6 +37,7 @@ class LoggedReadings:
         readings: (steps, m), each at the step next to its stamp, NaN for nothing. A channel is
             there as often as a step has several readings of it.
         channels: (m,), which ones they are.
+        speed_m_s: (steps,), on lines between readings.
         counted: (steps,), whether the innovations of readings count: the car is fast enough.
         start: belief at the first step, of 6 states, or of 8 where positions are logged.
         time_step_s: of a run.
@@ -46,6 +47,7 @@ class LoggedReadings:
 
     readings: np.ndarray
     channels: tuple[int, ...]
+    speed_m_s: np.ndarray
     counted: np.ndarray
     start: FirstBelief
     time_step_s: float
@@ -87,6 +89,7 @@ def logged_readings(
     return LoggedReadings(
         np.concatenate(columns, axis=1),
         tuple(there),
+        np.interp(since_s, since_s[known := np.isfinite(speed)], speed[known]),
         (np.nan_to_num(speed) >= min_speed_m_s)
         & (np.minimum(since_s, since_s[-1] - since_s) >= ENDS_S),
         start_of(channels, car.sensors),

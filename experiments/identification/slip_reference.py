@@ -28,7 +28,7 @@ from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.drive_log import even_drive
 from concord.plants.vehicle.model import MIN_SPEED_M_S, Tyre, single_track
 from concord.plants.vehicle.parameters import Car
-from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified
+from concord.plants.vehicle.tyre_identification import MODEL_STEP_S, Identified, longest_part
 
 TYRE_ERROR, TYRE_ERROR_S = 0.1, 0.5
 """Error of the tyres' side slip over that of the rear axle, and how long it lasts."""
@@ -88,10 +88,8 @@ def slip_reference(
     centred = corrected(channels, sheets).get("side_slip", ChannelReadings(*np.empty((2, 0))))
     channels = stamped(with_true_wheels(channels, sheets), sheets)
     start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
-    drive = even_drive(channels, MODEL_STEP_S)
-    told = np.flatnonzero(np.isfinite(drive.steering_rad) & np.isfinite(drive.speed_m_s))
-    drive = Drive(drive.time_step_s, *(values[told[0] : told[-1] + 1] for values in drive[1:]))
-    times_s = start_s + drive.time_step_s * (told[0] + np.arange(drive.steps))
+    drive, after_s = longest_part(even_drive(channels, MODEL_STEP_S))
+    times_s = start_s + after_s + drive.time_s
     turning, accelerated = (channels[name] for name in ("yaw_rate", "lateral_acceleration"))
     grid = SamplingInstants(times_s[0], drive.time_step_s, drive.steps)
     yaw_rate = interpolated(turning, grid) - sheets.yaw_rate.offset

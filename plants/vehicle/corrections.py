@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, grid_over
-from concord.plants.vehicle.drive_log import POSITION_CHANNELS
+from concord.plants.vehicle.drive_log import POSITION_CHANNELS, free_wheels
 from concord.plants.vehicle.parameters import Car, SensorSheets
 
 SMOOTHED = 20
@@ -22,9 +22,8 @@ SENSORS_OF_NODES = (
 
 def channels_of_nodes(car: Car) -> tuple[tuple[str, ...], ...]:
     """Return the channel of a log for each of `SENSORS_OF_NODES`; wheels are not driven."""
-    axle = "rear" if car.driven_axle == "front" else "front"
-    wheels = (f"{axle}_left_wheel", f"{axle}_right_wheel")
-    return (wheels, *SENSORS_OF_NODES[1:-1], ("ground_speed", "course", *POSITION_CHANNELS))
+    satellites = ("ground_speed", "course", *POSITION_CHANNELS)
+    return free_wheels(car), *SENSORS_OF_NODES[1:-1], satellites
 
 
 def corrected(

@@ -109,6 +109,8 @@ def read_folder(folder: str | Path, longest_step_s: float = math.inf) -> LoggedD
 def read_log(folder: str | Path) -> LoggedChannels:
     """Return the readings of a folder at their own times.
 
+    The car's own speed is also its ground speed where no other sensor tells the speed.
+
     Raises:
         ValueError: as `read_folder`.
     """
@@ -133,7 +135,18 @@ def read_log(folder: str | Path) -> LoggedChannels:
         require_one_drive(channels)
     except ValueError as error:
         raise ValueError(f"{folder / COLUMNS}: {error}") from None
+    sensed = (*free_wheels(car), "ground_speed")
+    if "speed" in channels and not any(
+        name in channels and len(channels[name].values) for name in sensed
+    ):
+        channels["ground_speed"] = channels["speed"]
     return LoggedChannels(channels, car)
+
+
+def free_wheels(car: Car) -> tuple[str, str]:
+    """The channels of the wheels that are not driven."""
+    axle = "rear" if car.driven_axle == "front" else "front"
+    return f"{axle}_left_wheel", f"{axle}_right_wheel"
 
 
 def _on_a_plane(

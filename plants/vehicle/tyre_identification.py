@@ -31,7 +31,8 @@ ModelOfDrive = Callable[[Car, Axles, Tyre, float], SingleTrack]
 _SCALES = (0.01, 0.2, 0.002)
 """Of the residuals: yaw rate rad/s, lateral acceleration m/s², side slip rad."""
 
-_LEAST_CORNERING_M_S2 = 1.5
+LEAST_CORNERING_M_S2 = 1.5
+"""Of a drive that tells something of the tyres."""
 
 _STEP = 1e-4  # of the finite differences, in the logarithm of a parameter or in units of a scale
 
@@ -41,12 +42,15 @@ class Identified(NamedTuple):
 
     Attributes:
         car: with the stiffnesses found (and friction, if it was sought).
-        stiffness_std_n_rad: standard errors (2,) of front and rear.
+        stiffness_std_n_rad: standard errors (2,) of front and rear; NaN in a drive without fast
+            curves, which leaves the tyres of the car.
         friction_std: that of the friction, NaN if it was not sought.
         steering_offset_rad: to be added to the logged steering.
         residual_rms: of yaw rate rad/s, lateral acceleration m/s² and side slip rad, NaN where
             nothing was logged.
         condition: of the scaled problem; above some 1e3 the drive says too little.
+        part_s: start and end of the part of the drive that was fitted.
+        cornering_m_s2: largest product of yaw rate and speed there.
     """
 
     car: Car
@@ -55,6 +59,8 @@ class Identified(NamedTuple):
     steering_offset_rad: float
     residual_rms: np.ndarray
     condition: float
+    part_s: tuple[float, float]
+    cornering_m_s2: float
 
 
 def identify(
@@ -69,8 +75,7 @@ def identify(
     """Return the tyres of a car that fit a drive best, starting from the car's own.
 
     Args:
-        drive: steering, speed and yaw rate must be known but for the ends of the drive, lateral
-            acceleration and side slip may.
+        drive: its longest part in which steering and speed are known is fitted.
         car: mass, geometry, and the tyres to start from.
         tyre: law of the lateral force.
         seek_friction: whether the friction is sought too; only a drive near the limit tells it.
@@ -79,18 +84,21 @@ def identify(
         model: makes the model of car, axles, tyre and sampling time.
 
     Raises:
-        ValueError: a drive that is too short or too straight to tell, or never fast enough.
+        ValueError: a drive that is too short, or never fast enough.
     """
     from scipy.optimize import least_squares  # here, so that a node process never loads scipy
 
-    driven = _without_ends(_resampled(drive))
+    driven, start_s = longest_part(_resampled(drive))
     outputs = np.stack(
         [driven.yaw_rate_rad_s, driven.lateral_acceleration_m_s2, driven.side_slip_rad], axis=-1
     )
     compared = np.isfinite(outputs) & (driven.speed_m_s >= min_speed_m_s)[:, None]
-    _require_told(drive, driven, compared, min_speed_m_s)
+    _require_told(driven, compared[:, 0], min_speed_m_s)
+    cornering_m_s2 = float(np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max())
+    curves = cornering_m_s2 >= LEAST_CORNERING_M_S2
     # The fit has no offset for an output that was not logged.
-    sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
+    logged = compared[:, 1:].any(axis=0)
+    sought = np.array([curves, curves, True, *logged, seek_friction and curves])
 
     def made(axles: Axles) -> SingleTrack:
         return model(car, axles, tyre, driven.time_step_s)
@@ -111,7 +119,8 @@ def identify(
     start = np.zeros(sought.sum())
     start[_STEERING_OFFSET] = _rolling_offset_rad(driven, car, compared[:, 0]) / _OFFSETS[0]
     found = least_squares(lambda p: residuals(p[None])[0], start, jac=jac)
-    return _identified(car, sought, found.x, found.fun, found.jac, compared)
+    part = start_s, start_s + driven.time_step_s * driven.steps, cornering_m_s2
+    return _identified(car, sought, found.x, found.fun, found.jac, compared, part)
 
 
 # Parameters: log of front and rear stiffness over the car's; offsets of steering, lateral
@@ -166,6 +175,7 @@ def _identified(
     residuals: np.ndarray,
     jacobian: np.ndarray,
     compared: np.ndarray,
+    part: tuple[float, float, float],
 ) -> Identified:
     values, std = np.zeros(len(sought)), np.full(len(sought), np.nan)
     values[sought] = parameters
@@ -188,6 +198,8 @@ def _identified(
         steering_offset_rad=float(_OFFSETS[0] * values[_STEERING_OFFSET]),
         residual_rms=np.sqrt(mean_squared) * np.array(_SCALES),
         condition=float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0))),
+        part_s=part[:2],
+        cornering_m_s2=part[2],
     )
 
 
@@ -205,33 +217,21 @@ def _resampled(drive: Drive) -> Drive:
     return Drive(MODEL_STEP_S, *(at(values) for values in drive[1:]))
 
 
-def _without_ends(drive: Drive) -> Drive:
-    """Return the drive from the first to the last instant at which steering and speed are known.
+def longest_part(drive: Drive) -> tuple[Drive, float]:
+    """The longest part of a drive in which steering and speed are known, and its start in s."""
+    told = np.isfinite(drive.steering_rad) & np.isfinite(drive.speed_m_s)
+    edges = np.flatnonzero(np.diff(told, prepend=False, append=False)).reshape(-1, 2)
+    if not len(edges):
+        return drive, 0.0
+    first, end = edges[np.diff(edges).argmax()].tolist()
+    part = Drive(drive.time_step_s, *(values[first:end] for values in drive[1:]))
+    return part, first * drive.time_step_s
 
-    Channels with stamps of their own begin and end at different times.
-    """
-    told = np.flatnonzero(np.isfinite(drive.steering_rad) & np.isfinite(drive.speed_m_s))
-    if not len(told):
-        return drive
-    return Drive(drive.time_step_s, *(values[told[0] : told[-1] + 1] for values in drive[1:]))
 
-
-def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m_s: float) -> None:
-    for name, values in (("steering", driven.steering_rad), ("speed", driven.speed_m_s)):
-        if not np.isfinite(values).all():
-            raise ValueError(
-                f"the drive has gaps in its {name} at {int((~np.isfinite(values)).sum())} of "
-                f"{driven.steps} instants; cut the log to a part without gaps"
-            )
-    if compared[:, 0].sum() < 100:
+def _require_told(driven: Drive, compared: np.ndarray, min_speed_m_s: float) -> None:
+    if compared.sum() < 100:
         raise ValueError(
-            f"the drive has {int(compared[:, 0].sum())} yaw rates at {min_speed_m_s:g} m/s or more "
-            f"in {drive.steps} samples; give at least half a second of them"
-        )
-    cornering = np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max()
-    if cornering < _LEAST_CORNERING_M_S2:
-        raise ValueError(
-            f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s² at most, "
-            "which tells nothing of the tyres; give a drive with fast curves of "
-            f"{_LEAST_CORNERING_M_S2:g} m/s² or more, or correct the units of the log"
+            f"the drive has {int(compared.sum())} yaw rates at {min_speed_m_s:g} m/s or more in "
+            f"{driven.steps} samples in a row with steering and speed; give at least half a second "
+            "of them"
         )

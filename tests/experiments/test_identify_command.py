@@ -4,10 +4,12 @@ import importlib.util
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from concord.experiments.__main__ import main
 from concord.plants.vehicle.drive_log import write_drive
+from concord.plants.vehicle.model import axles_of, linear_tyre
 from concord.plants.vehicle.parameters import BMW_320I, car_from_toml
 from tests.experiments.flexray_support import concord, refused
 from tests.plants.test_tyre_identification import TRUE, drive
@@ -102,3 +104,29 @@ def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
     assert simulated["car"] == car_from_toml(out.read_text()).name == "Ford Escort"
     # With the noise of its sensors: what is left over of the yaw rate is no less.
     assert simulated["yaw_rate_rms_rad_s"] > 0.0045
+
+
+@pytest.mark.slow
+def test_a_straight_drive_with_a_gap_tells_its_sensors_and_leaves_the_tyres(tmp_path: Path, capsys):
+    """A motorway: `identify` refused it, although the verdict on its run had asked for that."""
+    straight = drive(TRUE, linear_tyre, 0.001)
+    rng = np.random.default_rng(2)
+    steering, speed = (
+        values + std * rng.standard_normal(straight.steps)
+        for values, std in ((straight.steering_rad, 0.0005), (straight.speed_m_s, 0.05))
+    )
+    steering[300:400] = np.nan
+    noisy = straight._replace(steering_rad=steering, speed_m_s=speed)
+    write_drive(tmp_path, noisy, BMW_320I)
+    out = tmp_path / "found.toml"
+    main(["identify", "--data", str(tmp_path), "--out", str(out)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The car corners with 0.4 m/s² at most, which tells little of the tyres." in said
+    assert "is that of the part from 2.0 to 8.0 s: elsewhere the log has gaps" in said
+    car = car_from_toml(out.read_text())
+    assert axles_of(car) == axles_of(BMW_320I)
+    # No wheel is logged, so the car's own speed is heard as the speed over ground.
+    for sheet, noise in ((car.sensors.steering, 0.0005), (car.sensors.ground_speed, 0.05)):
+        assert sheet.noise == pytest.approx(noise, rel=0.1)
+    refusal = refused(concord(capsys, "identify", "--data", tmp_path, "--seek", "tyres"))
+    assert "--seek tyres" in refusal and "0.4 m/s² at most" in refusal

@@ -7,7 +7,7 @@ import pytest
 from concord.plants.vehicle.drive import Drive
 from concord.plants.vehicle.model import axles_of, linear_tyre, single_track, tanh_tyre
 from concord.plants.vehicle.parameters import BMW_320I, Car
-from concord.plants.vehicle.tyre_identification import identify
+from concord.plants.vehicle.tyre_identification import LEAST_CORNERING_M_S2, identify
 
 TRUE = msgspec.structs.replace(
     BMW_320I, front_stiffness_n_rad=90e3, rear_stiffness_n_rad=140e3, friction=0.8
@@ -101,13 +101,31 @@ def test_channels_may_begin_and_end_at_different_times():
         assert ours == pytest.approx(truth, rel=1e-2)
 
 
-def test_drives_that_cannot_tell_are_refused():
-    with pytest.raises(ValueError, match="fast curves"):
-        identify(drive(TRUE, linear_tyre, 0.001), BMW_320I)
-    logged = drive(TRUE, linear_tyre, 0.03)
+def test_a_drive_without_curves_tells_offsets_and_leaves_the_tyres():
+    straight = drive(TRUE, tanh_tyre, 0.001)
+    found = identify(straight, BMW_320I, tanh_tyre, seek_friction=True)
+    assert found.car == BMW_320I
+    assert np.isnan([*found.stiffness_std_n_rad, found.friction_std]).all()
+    assert found.cornering_m_s2 < LEAST_CORNERING_M_S2
+    assert found.steering_offset_rad == pytest.approx(STEERING_OFFSET, abs=3e-4)
+
+
+def test_the_longest_part_without_a_gap_is_fitted():
+    logged = drive(TRUE, tanh_tyre, 0.03, noise=0.0)
+    steering = logged.steering_rad.copy()
+    steering[300:310] = np.nan
+    gap = identify(logged._replace(steering_rad=steering), BMW_320I, tanh_tyre)
+    rest = Drive(logged.time_step_s, *(values[310:] for values in logged[1:]))
+    whole, part = identify(logged, BMW_320I, tanh_tyre), identify(rest, BMW_320I, tanh_tyre)
+    duration_s = logged.time_step_s * logged.steps
+    assert whole.part_s == pytest.approx((0.0, duration_s))
+    assert gap.part_s == pytest.approx((310 * logged.time_step_s, duration_s))
+    assert gap.car == part.car
+
+
+def test_a_drive_that_is_too_slow_is_refused():
+    slow = drive(TRUE, linear_tyre, 0.03)
     with pytest.raises(ValueError, match="half a second"):
-        identify(logged._replace(speed_m_s=np.full(logged.steps, 2.0)), BMW_320I)
-    gaps = logged.steering_rad.copy()
-    gaps[10:13] = np.nan
-    with pytest.raises(ValueError, match="gaps in its steering at 3"):
-        identify(logged._replace(steering_rad=gaps), BMW_320I)
+        identify(slow._replace(speed_m_s=np.full(slow.steps, 2.0)), BMW_320I)
+    with pytest.raises(ValueError, match="0 yaw rates"):
+        identify(slow._replace(speed_m_s=np.full(slow.steps, np.nan)), BMW_320I)
