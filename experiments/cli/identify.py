@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -12,9 +13,11 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.identification.findings import findings_of, in_words, table_of
-from concord.experiments.identification.fit import CarFit, fit
+from concord.experiments.identification.fit import MOST_STEPS, CarFit, fit
 from concord.experiments.identification.slip_reference import slip_reference
+from concord.experiments.identification.telling_part import telling_part
 from concord.experiments.places import make_folder
+from concord.experiments.progress import progress
 from concord.experiments.user_errors import user_errors
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.vehicle.corrections import corrected, with_true_wheels
@@ -71,6 +74,8 @@ class IdentifyOptions:
     offsets, delays and places of sensors."""
     min_speed: float = SLOWEST_M_S
     """Slower parts of the drive do not count, in m/s."""
+    longest: float = 60.0
+    """Of a longer log only so many seconds count: those in which the car corners most."""
     friction: bool = False
     """Seek the friction too; only a drive near the limit tells it."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -93,6 +98,8 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
                 _require_new(option, path)
         if not options.min_speed >= 0:
             raise ValueError(f"--min-speed {options.min_speed:g}: must be 0 or more, in m/s")
+        if not options.longest > 0:
+            raise ValueError(f"--longest {options.longest:g}: must be more than 0, in s")
         given = _drive(options)
         found = identify(
             given.drive,
@@ -115,24 +122,26 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
         return
     console = Console()
     console.print(table_of(findings, given.drive, given.car))
-    for line in in_words(findings, given.drive.time_step_s * given.drive.steps):
+    duration_s = given.drive.time_step_s * given.drive.steps
+    for line in in_words(findings, given.start_s, duration_s):
         console.print(line, highlight=False)
 
 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:
-    tyre = _TYRES[options.tyre]
+    tyre, steps = _TYRES[options.tyre], count(1)
     reference = slip_reference(given.channels, tyres, tyre)
-    return fit(
-        given.channels,
-        given.car,
-        tyre,
-        friction=options.friction,
-        ratio=options.data is not None and not logs_road_wheels(options.data),
-        time_step_s=TIME_STEP_S,
-        min_speed_m_s=options.min_speed,
-        reference=reference,
-        on_step=lambda: _say("."),
-    )
+    with progress("identify, at most", MOST_STEPS, as_json=options.json) as on_step:
+        return fit(
+            given.channels,
+            given.car,
+            tyre,
+            friction=options.friction,
+            ratio=options.data is not None and not logs_road_wheels(options.data),
+            time_step_s=TIME_STEP_S,
+            min_speed_m_s=options.min_speed,
+            reference=reference,
+            on_step=lambda: on_step(min(next(steps), MOST_STEPS)),
+        )
 
 
 def _require_curves(found: Identified, min_speed_m_s: float) -> None:
@@ -145,24 +154,21 @@ def _require_curves(found: Identified, min_speed_m_s: float) -> None:
         )
 
 
-def _say(sign: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(sign)
-        sys.stderr.flush()
-
-
 class _Given(NamedTuple):
-    """A drive sampled evenly, its readings at their own times, and the car of the file."""
+    """A drive sampled evenly, its readings at their own times, and the car of the file; from where
+    in the log it is, in s."""
 
     drive: Drive
     channels: Mapping[str, ChannelReadings]
     car: Car
+    start_s: float = 0.0
 
 
-def _read(folder: Path) -> _Given:
+def _read(folder: Path, longest_s: float) -> _Given:
     channels, car = read_log(folder)
+    channels, start_s = telling_part(channels, longest_s)
     true = with_true_wheels(corrected(channels, car.sensors), car.sensors)
-    return _Given(even_drive(true, MODEL_STEP_S), channels, car)
+    return _Given(even_drive(true, MODEL_STEP_S), channels, car, start_s)
 
 
 def _drive(options: IdentifyOptions) -> _Given:
@@ -177,7 +183,7 @@ def _drive(options: IdentifyOptions) -> _Given:
                 f"--log {options.log}: writes a simulated drive, but --data {options.data} is a "
                 "log already; leave --log out, or simulate with --manoeuvre"
             )
-        return _read(options.data)
+        return _read(options.data, options.longest)
     assert options.manoeuvre is not None, "one of the two was given"
     if options.manoeuvre not in MANOEUVRES:
         raise unknown_name("manoeuvre", options.manoeuvre, MANOEUVRES)
@@ -192,7 +198,7 @@ def _drive(options: IdentifyOptions) -> _Given:
     noisy = logged(drive, TEST_CAR, np.random.default_rng(options.seed))
     options.log.mkdir(parents=True)
     write_drive(options.log, noisy, data_sheet(true_car))
-    return _read(options.log)
+    return _read(options.log, options.longest)
 
 
 def _require_new(option: str, path: Path) -> None:

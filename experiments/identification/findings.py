@@ -189,9 +189,15 @@ def _interval(one: ParameterFigures) -> str:
     return f"{one.low:.4g} to {one.high:.4g}" if one.seen else f"below {one.high:.4g}"
 
 
-def in_words(f: Findings, duration_s: float) -> Iterator[str]:
-    """Name what a drive of that duration did not show, and NIS before and after."""
-    start_s, end_s = f.part_s
+def in_words(f: Findings, first_s: float, duration_s: float) -> Iterator[str]:
+    """Name what a drive that starts at `first_s` of its log did not show, and NIS before and
+    after."""
+    if first_s:
+        yield (
+            f"The fit took the log from {first_s:.0f} to {first_s + duration_s:.0f} s, where the "
+            "car corners most; --longest takes more."
+        )
+    start_s, end_s = (first_s + one for one in f.part_s)
     if end_s - start_s < duration_s - _WHOLE_S:
         yield (
             f"What is left over is that of the part from {start_s:.1f} to {end_s:.1f} s: elsewhere "

@@ -20,7 +20,13 @@ from msgspec.structs import replace
 from concord.experiments.identification.likelihood import Likelihood, likelihood, widths_of
 from concord.experiments.identification.logged_readings import LoggedReadings, logged_readings
 from concord.experiments.identification.output_error import OutputError, by_output_error
-from concord.experiments.identification.scoring import Best, at_samples, greatest, precision
+from concord.experiments.identification.scoring import (
+    ITERATIONS,
+    Best,
+    at_samples,
+    greatest,
+    precision,
+)
 from concord.experiments.identification.slip_claim import SlipClaim, covering, slip_claim
 from concord.experiments.identification.slip_reference import SlipReference
 from concord.experiments.identification.sought import (
@@ -37,6 +43,8 @@ from concord.plants.vehicle.model import Tyre
 from concord.plants.vehicle.parameters import Car
 
 NORMAL_95 = 1.959964
+MOST_STEPS = 3 * ITERATIONS
+"""Of all parameters, of those that are seen, and of noise alone."""
 
 
 class FoundParameter(NamedTuple):

@@ -10,8 +10,10 @@ import numpy as np
 
 from concord.experiments.identification.likelihood import Likelihood
 
-_ITERATIONS, _ENOUGH, _LONGEST = 40, 0.01, 1.0
-"""Most steps; least squared length of a step in standard deviations; longest step in spreads."""
+ITERATIONS = 40
+"""Most steps."""
+_ENOUGH, _LONGEST = 0.01, 1.0
+"""Least squared length of a step in standard deviations; longest step in spreads."""
 _IDLE, _GAIN = 4, 0.1
 """The fit ends where so many steps in turn gain no more than this of the log density: where a delay
 lies between two samples, steps to either side follow each other without end."""
@@ -37,7 +39,7 @@ def greatest(
     here = of(at)
     best, idle = (at, here), 0
     before = found = None
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         found = at + _step(here, at, damping, samples)
         there_at = at_samples(found, samples)
         same_samples = np.allclose(there_at[samples > 0], at[samples > 0])

@@ -68,6 +68,20 @@ def channel_of(stamps_s: np.ndarray, values: np.ndarray) -> ChannelReadings:
     return ChannelReadings(stamps_s, values)
 
 
+def readings_between(
+    channels: Mapping[str, ChannelReadings], start_s: float, end_s: float
+) -> dict[str, ChannelReadings]:
+    """The readings between two stamps, of channels that have some."""
+    within = {
+        name: (one.stamps_s >= start_s) & (one.stamps_s <= end_s) for name, one in channels.items()
+    }
+    return {
+        name: ChannelReadings(one.stamps_s[within[name]], one.values[within[name]])
+        for name, one in channels.items()
+        if within[name].any()
+    }
+
+
 def grid_over(
     channels: Mapping[str, ChannelReadings], time_step_s: float, through: str | None = None
 ) -> SamplingInstants:

@@ -97,8 +97,8 @@ def identify(
     cornering_m_s2 = float(np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max())
     curves = cornering_m_s2 >= LEAST_CORNERING_M_S2
     # The fit has no offset for an output that was not logged.
-    logged = compared[:, 1:].any(axis=0)
-    sought = np.array([curves, curves, True, *logged, seek_friction and curves])
+    logged = np.any(compared[:, 1:], axis=0)
+    sought = np.concatenate(([curves, curves, True], logged, [seek_friction and curves]))
 
     def made(axles: Axles) -> SingleTrack:
         return model(car, axles, tyre, driven.time_step_s)

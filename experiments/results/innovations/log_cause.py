@@ -15,8 +15,8 @@ from concord.experiments.identification.without_slip import (
     left_to_file,
     tells_slip,
 )
-from concord.experiments.results.innovations.slip_evidence import cut, reference_of
-from concord.plants.recorded.channels import ChannelReadings
+from concord.experiments.results.innovations.slip_evidence import reference_of
+from concord.plants.recorded.channels import ChannelReadings, readings_between
 from concord.plants.vehicle.drive_log import logs_road_wheels, read_log
 from concord.plants.vehicle.model import tanh_tyre
 from concord.plants.vehicle.parameters import Car, ProcessNoise
@@ -54,7 +54,9 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
         return ""
     start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values))
     start_s += setup.time_step_s * int(np.argmax(counted))
-    untold = _untold(found.sought.path, cut(channels, start_s, start_s + LONGEST_S), car)
+    untold = _untold(
+        found.sought.path, readings_between(channels, start_s, start_s + LONGEST_S), car
+    )
     if untold:
         return (
             f"of single values of car.toml, {found.sought.name} explains most, but {untold} does "

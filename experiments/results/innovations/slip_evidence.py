@@ -16,7 +16,7 @@ from concord.experiments.identification.without_slip import is_logged
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.run_verdict import BATCHES, anees_interval, beyond
 from concord.filters.gaussian import Gaussian
-from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.recorded.channels import ChannelReadings, readings_between
 from concord.plants.vehicle.corrections import corrected, steps_over, with_true_wheels
 from concord.plants.vehicle.drive_log import even_drive, read_log, speeds_in
 from concord.plants.vehicle.model import tanh_tyre
@@ -83,7 +83,7 @@ def slip_evidence(
         grid = steps_over(corrected(channels, car.sensors), setup.time_step_s)
         times_s = grid.instants_s[: len(counted)]
         start_s = times_s[np.argmax(counted)]
-        reference = reference_of(cut(channels, start_s, start_s + longest_s), car)
+        reference = reference_of(readings_between(channels, start_s, start_s + longest_s), car)
         if reference is None or reference.told > SEEN:
             return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
         every = squares_beside(belief, reference, times_s)
@@ -101,20 +101,6 @@ def _worst(squares: np.ndarray, time_step_s: float) -> tuple[float, float, float
     batches = np.array_split(known, BATCHES)
     worst = max(batches, key=lambda batch: squares[batch].mean())
     return float(squares[worst].mean()), time_step_s * worst[0], time_step_s * worst[-1]
-
-
-def cut(
-    channels: Mapping[str, ChannelReadings], start_s: float, end_s: float
-) -> dict[str, ChannelReadings]:
-    """The readings between two stamps, of channels that have some."""
-    within = {
-        name: (one.stamps_s >= start_s) & (one.stamps_s <= end_s) for name, one in channels.items()
-    }
-    return {
-        name: ChannelReadings(one.stamps_s[within[name]], one.values[within[name]])
-        for name, one in channels.items()
-        if within[name].any()
-    }
 
 
 def reference_of(channels: Mapping[str, ChannelReadings], car: Car) -> SlipReference | None:
