@@ -80,7 +80,7 @@ def _slip_at_centre(
         return slip._replace(values=read)
     turning, channels = channels["yaw_rate"], with_true_wheels(channels, sheets)
     speeds = [one for name, one in channels.items() if name == "speed" or name.endswith("_wheel")]
-    yaw_rate = np.interp(slip.stamps_s, turning.stamps_s, turning.values)
+    yaw_rate = np.interp(slip.stamps_s, turning.stamps_s, turning.values - sheets.yaw_rate.offset)
     each = [np.interp(slip.stamps_s, one.stamps_s, one.values) for one in speeds if len(one.values)]
     speed = np.maximum(np.mean(each, axis=0), 1.0)
     return slip._replace(values=np.arctan(np.tan(read) - ahead * yaw_rate / speed))

@@ -183,11 +183,14 @@ def test_a_delay_is_taken_out_and_the_noise_stays(samples: float):
 
 
 def test_stamps_and_side_slip_of_a_log_are_corrected():
-    """A reading is stamped late by its delay; the slip is that of the centre of mass."""
+    """A reading is stamped late by its delay; the slip is that of the centre of mass.
+
+    The offset of the yaw rate once stayed in the slip: ANEES of a real car was 1.7 in place of 0.9.
+    """
     times_s = 0.01 * np.arange(50)
     slip, yaw_rate, speed = 0.02 + 0.1 * times_s, 0.3 * times_s, np.full(50, 20.0)
     read = np.arctan(np.tan(slip) + 0.74 * yaw_rate / speed) + 0.004
-    given = {"side_slip": read, "yaw_rate": yaw_rate, "speed": speed}
+    given = {"side_slip": read, "yaw_rate": yaw_rate + 0.006, "speed": speed}
     stamps = {"side_slip": times_s + 0.015, "yaw_rate": times_s + 0.01, "speed": times_s}
     channels = {name: ChannelReadings(stamps[name], values) for name, values in given.items()}
     found = corrected(channels, TRUE.sensors)
