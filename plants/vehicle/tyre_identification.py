@@ -116,9 +116,9 @@ def identify(
         return ((both[: len(steps)] - both[len(steps) :]) / (2 * _STEP)).T
 
     jac: Any = jacobian  # scipy's types know the names of methods only
-    start = np.zeros(sought.sum())
+    start = np.zeros(len(sought))
     start[_STEERING_OFFSET] = _rolling_offset_rad(driven, car, compared[:, 0]) / _OFFSETS[0]
-    found = least_squares(lambda p: residuals(p[None])[0], start, jac=jac)
+    found = least_squares(lambda p: residuals(p[None])[0], start[sought], jac=jac)
     part = start_s, start_s + driven.time_step_s * driven.steps, cornering_m_s2
     return _identified(car, sought, found.x, found.fun, found.jac, compared, part)
 

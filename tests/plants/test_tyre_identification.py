@@ -108,6 +108,10 @@ def test_a_drive_without_curves_tells_offsets_and_leaves_the_tyres():
     assert np.isnan([*found.stiffness_std_n_rad, found.friction_std]).all()
     assert found.cornering_m_s2 < LEAST_CORNERING_M_S2
     assert found.steering_offset_rad == pytest.approx(STEERING_OFFSET, abs=3e-4)
+    unknown = np.full(straight.steps, np.nan)
+    alone = straight._replace(lateral_acceleration_m_s2=unknown, side_slip_rad=unknown)
+    by_yaw_rate = identify(alone, BMW_320I, tanh_tyre).steering_offset_rad
+    assert by_yaw_rate == pytest.approx(STEERING_OFFSET, abs=3e-4)
 
 
 def test_the_longest_part_without_a_gap_is_fitted():
