@@ -60,7 +60,8 @@ def log_cause(setup: Setup, counted: np.ndarray) -> str:
     if untold:
         return (
             f"of single values of car.toml, {found.sought.name} explains most, but {untold} does "
-            f"not tell it from errors of the tyres; {_cure(plant.data)}"
+            "not tell it from errors of the tyres: log the side slip, or drive a serpentine; "
+            f"{_identify(plant.data)} fits the rest"
         )
     return in_words(found, plant.data)
 
@@ -88,8 +89,8 @@ def in_words(found: Suspect, data: str) -> str:
     if acts:
         said = f"{instead}; the driver {acts} {'more' if more else 'less'} sharply than that"
         return f"of single values of car.toml, {said}, which is no fault of the car"
-    return f"of single values of car.toml, {instead}; {_cure(data)}"
+    return f"of single values of car.toml, {instead}; {_identify(data)} fits all"
 
 
-def _cure(data: str) -> str:
-    return f"`concord identify --data {data}` fits all"
+def _identify(data: str) -> str:
+    return f"`concord identify --data {data}`"
