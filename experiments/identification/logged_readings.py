@@ -85,11 +85,11 @@ def logged_readings(
             there += [place] * columns[-1].shape[1]
             late_s.setdefault(SENSORS[place], []).append(lateness_s(channels[name], grid))
     speed = np.mean([interpolated(channels[name], grid) for name in speeds_in(channels)], axis=0)
-    since_s = time_step_s * np.arange(grid.steps)
+    since_s, known = time_step_s * np.arange(grid.steps), np.isfinite(speed)
     return LoggedReadings(
         np.concatenate(columns, axis=1),
         tuple(there),
-        np.interp(since_s, since_s[known := np.isfinite(speed)], speed[known]),
+        np.interp(since_s, since_s[known], speed[known]),
         (np.nan_to_num(speed) >= min_speed_m_s)
         & (np.minimum(since_s, since_s[-1] - since_s) >= ENDS_S),
         start_of(channels, car.sensors),

@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from concord.experiments.monte_carlo.network_errors import outside_steps
 from concord.experiments.results.folder import Description, state_coordinates
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.trace import Trace
@@ -83,7 +84,9 @@ def smoothing_figures(setup: Setup, trace: Trace, found: Smoothed, first: int) -
     )
     away = (trace.mean - found.smoothed.mean[:, None])[first:][..., states]
     errors, cov = found.smoothed.mean - trace.truth, found.smoothed.cov
-    consistency = mean_of_known(scored_nees(setup.scenario, errors, cov)[first:], (0,))
+    outside = outside_steps(setup, found.filtered.mean[None])[0]
+    nees = np.where(outside, np.nan, scored_nees(setup.scenario, errors, cov))
+    consistency = mean_of_known(nees[first:], (0,))
     return SmoothingFigures(
         rmse=float(rmse(of_smoothed, (0,))),
         rmse_filtered=float(rmse(of_filtered, (0,))),
