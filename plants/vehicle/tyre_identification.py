@@ -120,7 +120,7 @@ def identify(
     start[_STEERING_OFFSET] = _rolling_offset_rad(driven, car, compared[:, 0]) / _OFFSETS[0]
     found = least_squares(lambda p: residuals(p[None])[0], start[sought], jac=jac)
     part = start_s, start_s + driven.time_step_s * driven.steps, cornering_m_s2
-    return _identified(car, sought, found.x, found.fun, found.jac, compared, part)
+    return _identified(car, sought, found, compared, part)
 
 
 # Parameters: log of front and rear stiffness over the car's; offsets of steering, lateral
@@ -171,15 +171,14 @@ def _outputs(
 def _identified(
     car: Car,
     sought: np.ndarray,
-    parameters: np.ndarray,
-    residuals: np.ndarray,
-    jacobian: np.ndarray,
+    found: Any,  # scipy's OptimizeResult
     compared: np.ndarray,
     part: tuple[float, float, float],
 ) -> Identified:
+    residuals, jacobian = found.fun, found.jac
     values, std = np.zeros(len(sought)), np.full(len(sought), np.nan)
-    values[sought] = parameters
-    degrees = max(1, len(residuals) - len(parameters))
+    values[sought] = found.x
+    degrees = max(1, len(residuals) - len(found.x))
     cov = np.linalg.pinv(jacobian.T @ jacobian) * (residuals @ residuals) / degrees
     std[sought] = np.sqrt(cov.diagonal())
     front = float(car.front_stiffness_n_rad * np.exp(values[_FRONT]))

@@ -51,7 +51,7 @@ def test_nothing_is_left_of_a_supervisor_and_its_child(
 ):
     """Where the network goes on, its launcher is killed a second later."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(sockets))
-    words = "run --scenario oscillator --nodes 3 --steps 100000 --driver processes --out run"
+    words = "run --scenario oscillator --nodes 3 --steps 10000 --driver processes --out run"
     with family((*CONCORD, *words.split()), tmp_path) as run:
         there = tmp_path / "run" / "network.json"
         assert holds_within(60, there.is_file)
