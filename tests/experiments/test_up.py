@@ -108,7 +108,7 @@ def ends_by_death(network: Family) -> None:
 def test_a_node_is_killed_and_restarted_and_all_end_with_the_command(
     end: Callable[[Family], None], machine: Path
 ):
-    write_setup(machine, nodes=2, graph="path", steps=100000)
+    write_setup(machine, nodes=2, graph="path", steps=10_000)
     with family(up(hosts_file(machine)), machine, interactive=True) as network:
         typed = network.process.stdin
         assert typed is not None
