@@ -23,13 +23,16 @@ settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
 LONGEST = (
-    "papers/test_labelled_study", "papers/test_reproduce_wac",
-    "experiments/test_simulation_testing",
-    "papers/test_reproduce_adlukf", "experiments/identification/test_without_slip",
+    "papers/test_labelled_study", "papers/test_reproduce_wac", "test_readme",
+    "experiments/test_simulation_testing", "experiments/identification/test_without_slip",
+    "papers/test_reproduce_adlukf", "experiments/identification/test_causes",
     "endurance/test_supervision", "experiments/test_up", "test_batched_agreement",
     "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",
+    "scenarios/test_logged_positions", "experiments/test_keys_command", "test_sweep_pages",
+    "dashboard/test_browser_launch", "dashboard/test_monkey", "experiments/test_partition",
+    "runtime/test_recording", "experiments/identification/test_output_error", "test_gallery",
 )  # fmt: skip
-"""Files that take a worker more than a minute. A file that starts last lets the others wait."""
+"""Files that take a worker most of a minute. A file that starts last lets the others wait."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
