@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from concord.plants.bounded import BoundedSystem
-from concord.plants.own_plant import covariance_of, vector_of
+from concord.plants.own_plant import covariance_of, require_description, vector_of
 
 MatrixOrAt = ArrayLike | Callable[[int], ArrayLike]
 """A matrix, or a function of the step that gives it."""
@@ -41,11 +41,7 @@ class BoundedPlant:
 
     def __post_init__(self) -> None:
         n, q = self.states, len(self.noise_shape)
-        if not self.time_step_s > 0:
-            raise ValueError(f"time_step_s {self.time_step_s}: must be above 0")
-        for field, given in (("state_names", self.state_names), ("state_units", self.state_units)):
-            if given and len(given) != n:
-                raise ValueError(f"{field} {given}: must have {n} entries, one for each state")
+        require_description(n, self.time_step_s, self.state_names, self.state_units)
         require_shape("A", self.transition(0), (n, n))
         require_shape("B", self.noise_input(0), (n, q))
         _ = self.prior_shape

@@ -45,11 +45,7 @@ class OwnPlant:
 
     def __post_init__(self) -> None:
         n = self.states
-        if not self.time_step_s > 0:
-            raise ValueError(f"time_step_s {self.time_step_s}: must be above 0")
-        for field, given in (("state_names", self.state_names), ("state_units", self.state_units)):
-            if given and len(given) != n:
-                raise ValueError(f"{field} {given}: must have {n} entries, one for each state")
+        require_description(n, self.time_step_s, self.state_names, self.state_units)
         _ = self.prior_cov, self.noise_cov
         _require_lanes("f", self.f, self.prior_mean, n)
 
@@ -241,6 +237,17 @@ def _require_lanes(name: str, function: Function, mean: np.ndarray, entries: int
                 f"{name}(x) of one state differs from {name}(x) of several at once: it mixes the "
                 "lanes; write x[..., 0] for the first state"
             )
+
+
+def require_description(
+    states: int, time_step_s: float, names: Sequence[str], units: Sequence[str]
+) -> None:
+    """Refuse a time step of 0 or less, and names or units that are not those of all states."""
+    if not time_step_s > 0:
+        raise ValueError(f"time_step_s {time_step_s}: must be above 0")
+    for field, given in (("state_names", names), ("state_units", units)):
+        if given and len(given) != states:
+            raise ValueError(f"{field} {given}: must have {states} entries, one for each state")
 
 
 def vector_of(name: str, given: ArrayLike) -> np.ndarray:
