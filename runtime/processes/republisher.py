@@ -11,7 +11,8 @@ process is further behind than `EARLY_STEPS`. A receiver takes the messages that
 No process waits for the recorder, so the network would go on while the recorder loses messages.
 While its link is away publishers pause. When it is back, they first repeat their buffers below
 `keep/`. They do so once more a second later: a link that has just come back does not know yet who
-listens, and drops what is said on it.
+listens, and drops what is said on it. On a busy machine a second may be too short. A process at its
+end waits for the recorder, so it repeats its buffer as long as it waits.
 """
 
 import math
@@ -68,12 +69,16 @@ class Republisher:
         # Since when the recorder is out of reach, if it is.
         self._is_cut, self._cut_s = False, 0.0
         self._linked, self._ring = threading.Event(), threading.Event()
-        self._closed = False
+        self._closed = self._finished = False
         self._thread = threading.Thread(target=self._look, daemon=True)
 
     def begin(self) -> None:
         """From now on look whether something must be said again."""
         self._thread.start()
+
+    def finish(self) -> None:
+        """All is said, and the recorder has to tell that it has all."""
+        self._finished = True
 
     def close(self) -> None:
         """Nothing more is said again; before the transport is closed."""
@@ -133,6 +138,8 @@ class Republisher:
                 since, pause_s, told = time.monotonic(), _AGAIN_S, 0
             if back or latest is before:
                 self._repeat(f"{AGAIN}/", self._recent())
+                if self._finished:
+                    self._repeat(f"{KEEP}/", list(self._copy()))
                 # Nothing is said between a look at what holds and the saying of it.
                 with self._order:
                     self._repeat("", self._standing())

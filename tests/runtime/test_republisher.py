@@ -91,6 +91,23 @@ def test_a_link_that_has_just_come_back_may_drop_what_is_said_on_it(
     speaker.close()
 
 
+def test_who_waits_for_the_recorder_at_its_end_repeats_what_it_may_have_lost(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """A recorder that had stood still lost the last message, and all waited for ever."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    transport = Standing()
+    transport.may.set()
+    speaker = of_environment(transport)
+    speaker.begin()
+    speaker.say("finished", b"a")
+    assert holds_within(20, lambda: ("again/finished", b"a") in transport.sent)
+    assert ("keep/finished", b"a") not in transport.sent
+    speaker.finish()
+    assert holds_within(20, lambda: ("keep/finished", b"a") in transport.sent)
+    speaker.close()
+
+
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
     transport = Standing()
     transport.may.set()

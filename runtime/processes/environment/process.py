@@ -121,6 +121,7 @@ class EnvironmentProcess:
         self.inbox.finished = True
         self._pacing.close()
         self.republisher.say("finished", last_words(self.controller.config, self.controller.state))
+        self.republisher.finish()
         self.inbox.await_end()
         self.republisher.close()
         self.transport.close()

@@ -164,6 +164,7 @@ class LockstepNode:
 
     def leave(self) -> None:
         """Wait until the recorder has kept everything, and leave the network."""
+        self._republisher.finish()
         self._inbox.await_end()
         self._republisher.close()
         self.transport.close()
