@@ -26,7 +26,7 @@ LOSSY: dict[str, Any] = {
     "nodes": 20, "rule": "labelled", "schedule": "dynamic", "occupancy": 0.1, "relay": True,
     "loss": 0.3, "steps": 60, "seed": 2121,
 }  # fmt: skip
-# docs/labelled.md says so to who has such a bus.
+# The command of docs/labelled.md, "More and shorter shares".
 SHORT: dict[str, Any] = {
     "occupancy": 0.2, "record_number": "int12", "digest_steps": 2, "repeat_bytes": 6,
     "withhold_below": 0.03,

@@ -77,7 +77,7 @@ class Republisher:
         self._thread.start()
 
     def finish(self) -> None:
-        """All is said, and the recorder has to tell that it has all."""
+        """Repeat for the recorder from now on: the process waits until the recorder has all."""
         self._finished = True
 
     def close(self) -> None:
