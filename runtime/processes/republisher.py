@@ -151,9 +151,15 @@ class Republisher:
                 self._tell(waited_s)
 
     def _tell(self, waited_s: float) -> None:
-        for_whom = "the recorder, which is out of reach" if self._is_cut else self._waiting()
-        if for_whom:
+        if for_whom := self._for_whom():
             sys.stderr.write(f"{self._who} has waited {waited_s:.0f} s for {for_whom}\n")
+
+    def _for_whom(self) -> str:
+        if self._is_cut:
+            return "the recorder, which is out of reach"
+        if self._finished:
+            return "the recorder, which has not said that it has all messages"
+        return self._waiting()
 
     def _tell_recorder(self) -> None:
         """Its link is back: all that it may have lost, before anything new."""

@@ -37,6 +37,19 @@ def of_environment(
     )
 
 
+def told_by(capsys: pytest.CaptureFixture[str]) -> str:
+    """What was first written to standard error within 20 s."""
+    told = ""
+
+    def has_told() -> bool:
+        nonlocal told
+        told += capsys.readouterr().err
+        return bool(told)
+
+    assert holds_within(20, has_told)
+    return told
+
+
 def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,
 ):
@@ -158,13 +171,24 @@ def test_a_wait_for_the_recorder_is_as_long_as_its_link_is_away(
     now_s = 2036.0
     speaker.see(RECORDER, False)
     now_s = 2039.0
-    told = ""
-
-    def has_told() -> bool:
-        nonlocal told
-        told += capsys.readouterr().err
-        return bool(told)
-
-    assert holds_within(20, has_told)
+    told = told_by(capsys)
     speaker.close()
     assert told.startswith("the environment has waited 3 s for the recorder")
+
+
+def test_a_process_at_its_end_says_that_it_waits_for_the_recorder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """A run hung at its end for 300 s: all processes waited for the recorder, and none said so."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(republisher, "_AT_MOST_S", 0.01)
+    monkeypatch.setattr(republisher, "_TELL_S", 0.05)
+    transport = Standing()
+    transport.may.set()
+    speaker = of_environment(transport)
+    speaker.begin()
+    speaker.say("finished", b"a")
+    speaker.finish()
+    told = told_by(capsys)
+    speaker.close()
+    assert "for the recorder, which has not said that it has all messages" in told
