@@ -27,6 +27,7 @@ from concord.experiments.design.search import Found, SearchTask, search
 from concord.experiments.design.space import Values, placements_of, space_of
 from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.places import new_name
 from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.scenario_options import scenario_with_known
@@ -73,7 +74,7 @@ def design(
     for among the given values; graph, rule, weights, rounds, occupancy, schedule, formats of
     numbers and relay are open. The network must bear all placements given: runs take one after the
     other."""
-    out = output.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
+    out = output.out or Path("runs") / f"{new_name('design')}.json"
     with user_errors():
         if out.exists():
             raise ValueError(f"--out {out}: exists and is never written over; choose another name")

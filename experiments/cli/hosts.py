@@ -15,12 +15,12 @@ import tyro
 
 from concord.experiments.cli.collect import FiguresForm, finish
 from concord.experiments.host_place import place_of, read_setup, take_part
+from concord.experiments.places import new_name
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import (
     RECORDING,
     describe,
     make_folder,
-    new_name,
     write_description,
 )
 from concord.experiments.results.run_results import completed

@@ -16,6 +16,7 @@ from concord.experiments.memory import check_address_space, check_memory
 from concord.experiments.monte_carlo.run_many import run_many
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
+from concord.experiments.places import new_name
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import (
     BATCHED,
@@ -23,7 +24,6 @@ from concord.experiments.results.folder import (
     Description,
     describe,
     make_folder,
-    new_name,
     write_description,
 )
 from concord.experiments.results.run_results import Captures, check_captures, completed

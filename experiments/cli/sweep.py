@@ -3,7 +3,6 @@
 
 import shlex
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.few_samples import few_runs, few_steps
-from concord.experiments.places import make_folder
+from concord.experiments.places import make_folder, new_name
 from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.sweep.cells import with_keep
@@ -73,7 +72,7 @@ def sweep(
     output: Annotated[SweepOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Run every combination of the given values, and print how good and how dear each is."""
-    out = output.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}.nc"
+    out = output.out or Path("runs") / f"{new_name('sweep')}.nc"
     with user_errors():
         specification = with_keep(
             specify(

@@ -1,10 +1,7 @@
 """Folder of a run's results, with run.json, run.mcap, run.nc and bus.pcap."""
 
 import platform
-import re
-import secrets
 import subprocess
-import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +10,7 @@ import msgspec
 import numpy as np
 
 from concord._version import __version__
+from concord.experiments.places import new_name
 from concord.experiments.results.bus_report import times_of
 from concord.experiments.results.innovations.of_run import (
     RunInnovations,
@@ -52,13 +50,6 @@ class Description(msgspec.Struct, frozen=True):
     versions: dict[str, str]
     commit: str | None
     tempo: Tempo | None = None
-
-
-def new_name(scenario: str) -> str:
-    """A unique name for a run."""
-    # Local time to the second reads well in a listing; the suffix makes it unique.
-    shown = re.sub(r"[^\w.-]+", "-", scenario.strip("./"))
-    return f"{shown}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
 
 
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:

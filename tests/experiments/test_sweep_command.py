@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,17 @@ def test_it_is_not_written_over_another_sweep(result: Path, tmp_path: Path):
     foreign.write_bytes(b"not netCDF")
     with pytest.raises(ValueError, match="cannot be read as netCDF"):
         begin(specify(ASKED, runs=3), foreign)
+
+
+def test_two_sweeps_of_one_second_have_files_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The second one took the pieces of the first for its own, and was refused."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
+    for seed in ("1", "2"):
+        main(["sweep", *COMMAND, "--seed", seed, "--runs", "2", "--workers", "1"])
+    assert len(list(Path("runs").glob("sweep-20260101-000000-*.nc"))) == 2
 
 
 @pytest.mark.slow
