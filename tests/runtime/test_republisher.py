@@ -38,7 +38,7 @@ def of_environment(
 
 
 def told_by(capsys: pytest.CaptureFixture[str]) -> str:
-    """What was first written to standard error within 20 s."""
+    """Return the first words on standard error, awaited for 20 s."""
     told = ""
 
     def has_told() -> bool:
