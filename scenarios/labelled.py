@@ -31,7 +31,8 @@ from concord.scenarios.types.rules import (
 )
 
 RECORD_NUMBERS = {"int12": PACKED, "int16": "<i2", "float32": "<f4", "float64": "<f8"}
-_LOSSY_DIGEST_STEPS = 6
+# Nodes learn of a loss from the next shares of their neighbours. Longer digests gain little.
+_DIGEST_TURNS, _LEAST_DIGEST_STEPS, _MOST_DIGEST_STEPS, _MOST_DIGEST_BITS = 2, 3, 10, 600
 _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
 _USUAL_NUMBERS = 2
@@ -125,13 +126,18 @@ def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 
 def digest_of(scenario: Scenario) -> int:
-    """Steps in a digest: what was asked for, else six where links lose frames or change."""
+    """Steps in a digest: what was asked for, else those of two turns where links lose frames.
+
+    A turn is the mean time between two shares of a node.
+    """
     rule, network = flooding_of(scenario), scenario.network
     if rule.digest_steps is not None:
         return rule.digest_steps
     if network.links == "static" and network.loss <= _NEGLIGIBLE_LOSS:
         return 0
-    return min(_LOSSY_DIGEST_STEPS, rule.window_steps or _LOSSY_DIGEST_STEPS)
+    turns = int(_DIGEST_TURNS * scenario.nodes / _shares_per_step(scenario))
+    steps = min(max(turns, _LEAST_DIGEST_STEPS), _MOST_DIGEST_STEPS)
+    return min(steps, max(_MOST_DIGEST_BITS // scenario.nodes, 1), rule.window_steps or steps)
 
 
 def smoothing_lags(scenario: Scenario) -> int:
@@ -170,10 +176,13 @@ def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:
 def latency_steps(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     """Steps in which a record crosses the graph if every node must wait for a turn of all others:
     diameter times nodes over shares per step."""
-    shares = scenario.rounds * publishers_per_cycle(
+    return -(-_diameter(neighbours) * scenario.nodes // _shares_per_step(scenario))
+
+
+def _shares_per_step(scenario: Scenario) -> int:
+    return scenario.rounds * publishers_per_cycle(
         scenario.nodes, occupancy_of(scenario.bus.schedule)
     )
-    return -(-_diameter(neighbours) * scenario.nodes // shares)
 
 
 def check_labelled(

@@ -210,11 +210,19 @@ def test_the_window_is_the_latency_and_32_steps_at_least():
 
 
 def test_digests_are_said_where_links_lose_frames():
-    scenario = scenario_of("oscillator", nodes=5, rule="labelled")
-    replaced = scenario.with_
-    assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 6]
-    assert digest_of(replaced(loss=0.3, window_steps=5)) == 5
+    replaced = scenario_of("oscillator", nodes=5, rule="labelled").with_
+    assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 3]
+    assert digest_of(replaced(loss=0.3, window_steps=2)) == 2
     assert digest_of(replaced(loss=0.3, digest_steps=0)) == 0
+
+
+def test_a_digest_lasts_for_two_turns_of_a_node():
+    lossy = scenario_of(rule="labelled", nodes=20, loss=0.3).with_
+    # 20 nodes, three cycles a step, and 1, 2, 4 or 20 shares in each.
+    found = [digest_of(lossy(occupancy=part)) for part in (0.05, 0.1, 0.2, 1.0)]
+    assert found == [10, 2 * 20 // 6, 2 * 20 // 12, 3]
+    # It leaves room in a frame where there are many nodes.
+    assert digest_of(lossy(nodes=200, occupancy=0.05)) == 3
 
 
 def test_leaves_own_the_static_slots():
