@@ -79,14 +79,9 @@ def is_laid_out(page: Any, width: int, height: int) -> bool:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_panels_fit_the_window(page: Page, size: tuple[int, int]):
-    other = visitor(page, size)
-    page.until(lambda: is_laid_out(other, *size))
-    other.close()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_letters_of_the_bus_can_be_read_and_stay_in_their_slots(page: Page, size: tuple[int, int]):
+def test_the_panels_fit_the_window_and_letters_of_the_bus_can_be_read_in_their_slots(
+    page: Page, size: tuple[int, int]
+):
     other = visitor(page, size)
     page.until(lambda: is_laid_out(other, *size))
     letters = other.evaluate(_LETTERS)
