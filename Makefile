@@ -10,12 +10,12 @@ demo: .venv/run.stamp
 		--rule sharp-ci --schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
 # A worker for each processor; the tests of a file stay together, in the order of tests/conftest.py.
-# The long tests often wait for processes and clocks, so two workers share a processor.
+# The long tests often wait for processes and clocks, so three workers share two processors.
 # A worker that dies (pyproject.toml: faulthandler) ends the suite; else its test would be run again.
 # Compiled code is kept: else each process of a test would compile concord again, in 0.3 s.
 PYTEST := env -u PYTHONDONTWRITEBYTECODE PYTHONPYCACHEPREFIX=$(CURDIR)/build/pycache \
 	$(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder --max-worker-restart 0
-LONG_WORKERS := $(shell echo $$(( $$(getconf _NPROCESSORS_ONLN) * 2 )))
+LONG_WORKERS := $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 LONG := slow or zenoh or browser
 
 test: .venv/dev.stamp

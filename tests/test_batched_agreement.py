@@ -158,7 +158,7 @@ def test_random_scenarios_with_random_changes_agree(asked: Scenario):
 
 @pytest.mark.slow
 @given(st.one_of(scenarios(), changing(scenarios(), SET)))
-@settings(max_examples=300)
+@settings(max_examples=200)
 def test_many_more_random_scenarios_agree(asked: Scenario):
     check_changing(asked)
 

@@ -94,14 +94,14 @@ def test_random_networks_that_change_agree(asked: Scenario):
 
 @pytest.mark.slow
 @given(scenarios())
-@settings(max_examples=100)
+@settings(max_examples=70)
 def test_many_more_random_networks_agree(asked: Scenario):
     check(asked)
 
 
 @pytest.mark.slow
 @given(changing(scenarios(), set_to=SET_TO, verbs=FINAL))
-@settings(max_examples=100)
+@settings(max_examples=70)
 def test_many_more_random_networks_that_change_agree(asked: Scenario):
     check_changing(asked)
 

@@ -3,6 +3,7 @@
 
 import shlex
 import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,15 +12,17 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.few_samples import decisive_run, few_runs, few_steps
 from concord.experiments.places import make_folder, new_name
 from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
+from concord.experiments.sweep.cell_data import CellData
 from concord.experiments.sweep.cells import with_keep
 from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.merge import merge_shards
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.placements import in_words, over_placements
+from concord.experiments.sweep.results import flattened
 from concord.experiments.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
 from concord.experiments.sweep.specification import Specification, specify
 from concord.experiments.sweep.summary import figures_of, table
@@ -172,20 +175,30 @@ def _announce(begun: Begin, out: Path) -> None:
         write(f"goes on: {begun.found} of {every} pieces were computed before\n")
     if specification.keep == "moments":
         write("keeps moments and quantiles over the runs; --keep figures keeps every run\n")
-    for warning, names in _warnings(begun).items():
-        more = f" and in {len(names) - 1} more" if len(names) > 1 else ""
-        write(f"warning: {names[0]}{more}: {warning}\n")
+    _warn(
+        (warning, cell.name)
+        for cell in begun.cells
+        for warning in (*warnings_of(prepare(cell.scenario)), *few_steps(cell.scenario))
+    )
     for warning in few_runs(specification.runs):
         write(f"warning: {warning}\n")
 
 
-def _warnings(begun: Begin) -> dict[str, list[str]]:
-    """Return the cells that are known to fail, to change nothing or to be short, by warning."""
-    found: dict[str, list[str]] = {}
-    for cell in begun.cells:
-        for warning in (*warnings_of(prepare(cell.scenario)), *few_steps(cell.scenario)):
-            found.setdefault(warning, []).append(cell.name)
-    return found
+def _warn(found: Iterable[tuple[str, str]]) -> None:
+    """Print each warning once, with the first of the cells that it is of."""
+    cells: dict[str, list[str]] = {}
+    for warning, cell in found:
+        cells.setdefault(warning, []).append(cell)
+    for warning, names in cells.items():
+        more = f" and in {len(names) - 1} more" if len(names) > 1 else ""
+        sys.stderr.write(f"warning: {names[0]}{more}: {warning}\n")
+
+
+def _decisive_runs(dataset: "xarray.Dataset") -> Iterator[tuple[str, str]]:
+    for cell, part in flattened(dataset):
+        data = CellData(part)
+        if data.has_runs("rmse") and (warning := decisive_run(data.values("rmse"))):
+            yield warning, cell.name
 
 
 def _show_shard(swept: Swept, begun: Begin, as_json: bool) -> None:
@@ -205,6 +218,7 @@ def _show_shard(swept: Swept, begun: Begin, as_json: bool) -> None:
 
 def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool, out: Path) -> None:
     figures = figures_of(dataset, interval)
+    _warn(_decisive_runs(dataset))
     spreads = over_placements(figures)
     took: dict[str, Any] = {
         "computed_pieces": swept.computed_pieces,

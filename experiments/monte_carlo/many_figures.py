@@ -7,6 +7,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from concord.experiments.few_samples import decisive_run
 from concord.experiments.monte_carlo.histories import Histories
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
 from concord.experiments.monte_carlo.network_errors import (
@@ -55,7 +56,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
 
     Frames, and the events that nodes `noticed`, are means per run; the bus load is NaN on a bus
     without time. `suspect` is the share of the estimates whose node said that its belief does not
-    fit what it had heard.
+    fit what it had heard. `warning` names a run that decides the ratios.
     """
 
     scenario: str
@@ -85,6 +86,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
     suspect: float | None = None
     innovations: InnovationFigures | None = None
     verdict: str | None = None
+    warning: str | None = None
 
 
 class RunCost(NamedTuple):
@@ -161,6 +163,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         smoothed=histories.past and _smoothed(histories, histories.past, counted, belief),
         innovations=innovations,
         verdict=sentence,
+        warning=decisive_run(whole, runs[0]),
     )
 
 
@@ -244,6 +247,7 @@ def lines(figures: ManyFigures) -> list[str]:
         f"{shown(figures.bytes_per_step)} B per step on the wire{load}",
         f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "
         f"peak memory {figures.peak_memory_mb:.0f} MB",
+        *([f"warning: {figures.warning}"] if figures.warning else []),
     ]
 
 

@@ -2,9 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from concord.experiments.few_samples import LEAST_RUNS, LEAST_STEPS, few_runs, few_steps
+from concord.experiments.few_samples import (
+    LEAST_RUNS,
+    LEAST_STEPS,
+    decisive_run,
+    few_runs,
+    few_steps,
+)
 from concord.experiments.python_api import simulate
 from concord.experiments.scenario_options import scenario_of
 from tests.experiments.flexray_support import concord
@@ -60,6 +69,46 @@ def test_a_command_warns_once_before_it_begins(
     assert len(found) == len(warned)
     for line, start in zip(found, warned, strict=True):
         assert line.startswith(f"warning: {start}")
+
+
+@given(st.lists(st.floats(0.5, 2.0), min_size=LEAST_RUNS - 1, max_size=40), st.data())
+def test_a_run_that_outweighs_all_others_is_named_whatever_the_unit(
+    others: list[float], data: st.DataObject
+):
+    place = data.draw(st.integers(0, len(others)))
+    total, unit = float(np.square(others).sum()), data.draw(st.sampled_from([1e-6, 1.0, 1e6]))
+
+    def said(squared: float) -> str | None:
+        errors = [*others[:place], np.sqrt(squared), *others[place:]]
+        return decisive_run(unit * np.array(errors), first_run=100)
+
+    assert said(0.99 * total) is None
+    assert (said(1.01 * total) or "").startswith(f"run {100 + place} has more than half of the ")
+    assert decisive_run(np.full(40, unit)) is None
+
+
+def test_few_runs_and_unknown_errors_have_no_decisive_run():
+    assert decisive_run(np.array([1.0, 1.0, 1.0, 99.0])) is None
+    assert decisive_run(np.full(9, np.nan)) is None
+    assert decisive_run(np.array([np.nan, 1.0, 1.0, 1.0, 99.0])) is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "start"),
+    [
+        (("run", "--driver", "batched"), "warning: run 5 has"),
+        (("sweep", "--rounds", "3,4", "--workers", "1"), "warning: rounds=3 and in 1 more: run 5"),
+    ],
+)
+def test_a_command_names_the_run_in_which_the_target_leaves_all_sensors(
+    command: tuple[str, ...], start: str, tmp_path: Path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    network = ("--nodes", "12", "--graph", "geometric", "--seed", "20261127", "--runs", "8")
+    said = concord(capsys, *command, *network)
+    lines = (said.out + said.err).splitlines()
+    assert len([line for line in lines if line.startswith(start)]) == 1
 
 
 def test_no_run_is_refused_by_its_name():
