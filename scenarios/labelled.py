@@ -32,7 +32,9 @@ from concord.scenarios.types.rules import (
 
 RECORD_NUMBERS = {"int12": PACKED, "int16": "<i2", "float32": "<f4", "float64": "<f8"}
 # Nodes learn of a loss from the next shares of their neighbours. Longer digests gain little.
-_DIGEST_TURNS, _LEAST_DIGEST_STEPS, _MOST_DIGEST_STEPS, _MOST_DIGEST_BITS = 2, 3, 10, 600
+_DIGEST_TURNS, _LEAST_DIGEST_STEPS, _MOST_DIGEST_STEPS = 2, 3, 10
+# A digest and the mask of records take as many bits each, and leave a frame room for records.
+_MOST_DIGEST_BITS = 600
 _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
 _USUAL_NUMBERS = 2
@@ -135,8 +137,8 @@ def digest_of(scenario: Scenario) -> int:
         return rule.digest_steps
     if network.links == "static" and network.loss <= _NEGLIGIBLE_LOSS:
         return 0
-    turns = int(_DIGEST_TURNS * scenario.nodes / _shares_per_step(scenario))
-    steps = min(max(turns, _LEAST_DIGEST_STEPS), _MOST_DIGEST_STEPS)
+    steps = _DIGEST_TURNS * scenario.nodes // _shares_per_step(scenario)
+    steps = min(max(steps, _LEAST_DIGEST_STEPS), _MOST_DIGEST_STEPS)
     return min(steps, max(_MOST_DIGEST_BITS // scenario.nodes, 1), rule.window_steps or steps)
 
 

@@ -123,7 +123,7 @@ class FloodingRule(FusionRule, frozen=True, kw_only=True):
     digest_steps: Annotated[
         int | None,
         Option("Say in each share what is held of so many steps, so that what links lose is sent "
-               "again; 3 to 10 where links lose frames when left out.", unit="steps",
+               "again; 10 at most where links lose frames when left out.", unit="steps",
                at_least=0),
     ] = None  # fmt: skip
     repeat_above: Annotated[

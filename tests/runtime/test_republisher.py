@@ -104,11 +104,14 @@ def test_a_link_that_has_just_come_back_may_drop_what_is_said_on_it(
     speaker.close()
 
 
-def test_who_waits_for_the_recorder_at_its_end_repeats_what_it_may_have_lost(
-    monkeypatch: pytest.MonkeyPatch,
+def test_who_waits_for_the_recorder_at_its_end_says_so_and_repeats_what_it_may_have_lost(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """A recorder that had stood still lost the last message, and all waited for ever."""
+    """A recorder that had stood still lost the last message: all waited for ever, and none said
+    for whom."""
     monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(republisher, "_AT_MOST_S", 0.01)
+    monkeypatch.setattr(republisher, "_TELL_S", 0.05)
     transport = Standing()
     transport.may.set()
     speaker = of_environment(transport)
@@ -118,6 +121,7 @@ def test_who_waits_for_the_recorder_at_its_end_repeats_what_it_may_have_lost(
     assert ("keep/finished", b"a") not in transport.sent
     speaker.finish()
     assert holds_within(20, lambda: ("keep/finished", b"a") in transport.sent)
+    assert "for the recorder, which has not said that it has all messages" in told_by(capsys)
     speaker.close()
 
 
@@ -174,21 +178,3 @@ def test_a_wait_for_the_recorder_is_as_long_as_its_link_is_away(
     told = told_by(capsys)
     speaker.close()
     assert told.startswith("the environment has waited 3 s for the recorder")
-
-
-def test_a_process_at_its_end_says_that_it_waits_for_the_recorder(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    """A run hung at its end for 300 s: all processes waited for the recorder, and none said so."""
-    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(republisher, "_AT_MOST_S", 0.01)
-    monkeypatch.setattr(republisher, "_TELL_S", 0.05)
-    transport = Standing()
-    transport.may.set()
-    speaker = of_environment(transport)
-    speaker.begin()
-    speaker.say("finished", b"a")
-    speaker.finish()
-    told = told_by(capsys)
-    speaker.close()
-    assert "for the recorder, which has not said that it has all messages" in told
