@@ -12,6 +12,7 @@ from concord.dashboard.serve import open_recording
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.setup import Setup
+from tests.dashboard.browser_tab import new_tab
 from tests.dashboard.runs import setup_of
 from tests.processes import PATIENCE_S, holds_within
 
@@ -101,8 +102,7 @@ class Page:
         self.clock_s = 1.0
         self.console: list[str] = []
         assert holds_within(PATIENCE_S, self._loaded), "the recording never loaded"
-        self.page = browser.new_page(viewport={"width": 1280, "height": 720})
-        self.page.set_default_timeout(90_000)
+        self.page = new_tab(browser)
         self.page.add_init_script(_KEEP_NOTICES)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))

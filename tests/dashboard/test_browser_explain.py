@@ -6,6 +6,7 @@ import pytest
 
 from concord.dashboard.explain.tooltips import CHARTS, HEADINGS
 from tests.dashboard.browser_page import Page, press_on, recorded_page, row_of
+from tests.dashboard.browser_tab import new_tab
 
 
 @pytest.fixture(scope="module")
@@ -90,8 +91,7 @@ def test_the_help_has_the_legend_and_every_heading(page: Page):
 
 
 def test_an_address_with_a_step_opens_that_step(page: Page):
-    again = page.page.context.browser.new_page()
-    again.set_default_timeout(90_000)
+    again = new_tab(page.page.context.browser)
     try:
         again.goto(f"{page.dashboard.url}&fixedDpr=0.5&step=17")
         page.until(lambda: page.dashboard.view.step == 17)

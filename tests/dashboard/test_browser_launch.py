@@ -14,6 +14,7 @@ from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import read_recording
 from tests.dashboard.browser_page import press_on, row_of, slot_of
+from tests.dashboard.browser_tab import new_tab
 from tests.processes import PATIENCE_S, PROC, Family, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
@@ -63,8 +64,7 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
         return client.state()
 
     assert state()["paused"]
-    page = chromium.new_page(viewport={"width": 1280, "height": 720})
-    page.set_default_timeout(90_000)
+    page = new_tab(chromium)
     page.goto(f"{url}&fixedDpr=0.5")
     assert holds(page, lambda: not state()["paused"])
     assert state()["steps_per_second"] == 5
@@ -98,8 +98,7 @@ def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
     asked = (*NETWORK, "--steps", "24", "--out", str(folder), "--dashboard", "--http-port", "0")
     with family((sys.executable, "launch_local.py", *asked), ROOT) as command:
         url = command.await_line("dashboard at ").split()[2]
-        page = chromium.new_page(viewport={"width": 1280, "height": 720})
-        page.set_default_timeout(90_000)
+        page = new_tab(chromium)
         page.goto(f"{url}&fixedDpr=0.5")
         command.await_line("the run is over; its page stays until Ctrl-C")
         assert (folder / "run.nc").is_file()

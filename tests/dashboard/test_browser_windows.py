@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from tests.dashboard.browser_page import Page, recorded_page
+from tests.dashboard.browser_tab import new_tab
 
 SIZES = ((800, 600), (1280, 720), (1366, 768), (1920, 1080))
 PHONE = (390, 844)
@@ -48,9 +49,7 @@ def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 def visitor(page: Page, size: tuple[int, int]) -> Any:
     """Another browser on the same page."""
-    width, height = size
-    other = page.page.context.browser.new_page(viewport={"width": width, "height": height})
-    other.set_default_timeout(90_000)
+    other = new_tab(page.page.context.browser, *size)
     other.goto(f"{page.dashboard.url}&fixedDpr=0.5")
     return other
 

@@ -23,6 +23,7 @@ from concord.dashboard.theme import LIGHT
 from concord.dashboard.view import View
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
+from tests.dashboard.browser_tab import new_tab
 from tests.dashboard.runs import frames_of, run_of
 from tests.processes import PATIENCE_S, holds_within
 
@@ -43,7 +44,7 @@ CHART_TITLES = ("RMSE", "Disagreement", "NEES", "NIS", "Payload")
 
 def opened(chromium: Any, file: Path, query: str = "") -> tuple[Any, list[str]]:
     """A page on a file, and what it complains of; nothing but files may be loaded."""
-    page = chromium.new_page(viewport={"width": 800, "height": 600})
+    page = new_tab(chromium, 800, 600)
     troubles: list[str] = []
     page.on("pageerror", lambda error: troubles.append(str(error)))
     page.on("request", lambda request: _note_outside(request.url, troubles))

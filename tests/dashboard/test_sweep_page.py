@@ -24,6 +24,7 @@ from concord.experiments.sweep.explored import UP, RunPages, swept_of
 from concord.experiments.sweep.results import read_result
 from concord.runtime.recording import read_recording
 from tests.dashboard.browser_page import press_on
+from tests.dashboard.browser_tab import new_tab
 from tests.processes import CONCORD
 
 SWEEP = shlex.split(
@@ -171,8 +172,7 @@ def test_moments_have_a_page_too(tmp_path: Path):
 
 def test_cells_are_pressed_and_their_runs_open(chromium, result: Result):
     shown = SweepPage(result.swept, result.pages.open, "127.0.0.1", 0, DARK, UP)
-    page = chromium.new_page(viewport={"width": 1366, "height": 768})
-    page.set_default_timeout(90_000)
+    page = new_tab(chromium, 1366, 768)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     try:
