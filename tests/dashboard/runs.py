@@ -1,6 +1,6 @@
 """Small recorded runs for the tests of the dashboard."""
 
-from functools import cache
+from functools import cache, cached_property
 
 import msgspec
 
@@ -20,11 +20,36 @@ def setup_of(name: str, **changes) -> Setup:
     return prepare(definition_named(name).defaults.with_(**changes))
 
 
+class RunInMemory:
+    """A run in this process, made when a test first asks for it."""
+
+    def __init__(self, name: str, changes: dict) -> None:
+        self._name, self._changes = name, changes
+
+    @cached_property
+    def stage(self) -> Stage:
+        """What all its frames share."""
+        return set_stage(self._setup)
+
+    @cached_property
+    def messages(self) -> Messages:
+        """All that it told."""
+        return in_memory(self._setup)
+
+    @cached_property
+    def frames(self) -> list[StepFrame]:
+        """The frames that its messages make."""
+        return frames_of(self.stage, self.messages)
+
+    @cached_property
+    def _setup(self) -> Setup:
+        return setup_of(self._name, **self._changes)
+
+
 @cache
-def run_of(name: str, **changes) -> tuple[Stage, Messages]:
-    """Stage and messages of a run in this process, which is made once."""
-    setup = setup_of(name, **changes)
-    return set_stage(setup), in_memory(setup)
+def run_of(name: str, **changes) -> RunInMemory:
+    """A scenario's run with these settings, which is made once."""
+    return RunInMemory(name, changes)
 
 
 def frames_of(stage: Stage, messages: Messages) -> list[StepFrame]:

@@ -17,16 +17,15 @@ from concord.nodes.messages import Estimate, decode
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
-FRAMES = frames_of(STAGE, MESSAGES)
-TRACE = read_trace(STAGE.setup, MESSAGES)
+RUN = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
+TRACE = read_trace(RUN.stage.setup, RUN.messages)
 
 
 def step_of(topic: str, data: bytes) -> int | None:
     return None if topic.startswith("share/") else getattr(decode(topic, data), "step", None)
 
 
-def without(node: int, since: int, messages=MESSAGES):
+def without(node: int, since: int, messages=RUN.messages):
     """The same run in which a node falls silent."""
     for topic, data in messages:
         hers = topic in (f"estimate/{node}", f"measured/{node}")
@@ -35,15 +34,15 @@ def without(node: int, since: int, messages=MESSAGES):
 
 
 def test_every_step_is_a_frame_with_the_beliefs_of_the_trace():
-    assert [frame.step for frame in FRAMES] == list(range(24))
-    for frame in FRAMES:
+    assert [frame.step for frame in RUN.frames] == list(range(24))
+    for frame in RUN.frames:
         np.testing.assert_array_equal(frame.belief.mean, TRACE.mean[frame.step])
         np.testing.assert_array_equal(frame.belief.cov, TRACE.cov[frame.step])
         np.testing.assert_array_equal(frame.truth, TRACE.truth[frame.step])
 
 
 def test_who_published_in_which_cycle_is_that_of_the_trace():
-    for frame in FRAMES:
+    for frame in RUN.frames:
         for number, cycle in enumerate(frame.cycles):
             assert cycle.cycle == 3 * frame.step + number
             senders = {one.node for one in cycle.frames}
@@ -52,19 +51,19 @@ def test_who_published_in_which_cycle_is_that_of_the_trace():
 
 
 def test_scores_are_the_figures_of_the_run():
-    figures = summarise(STAGE.setup, TRACE)
-    scored = FRAMES[figures.first_step :]
+    figures = summarise(RUN.stage.setup, TRACE)
+    scored = RUN.frames[figures.first_step :]
     rmse = np.sqrt(np.mean([frame.scores.error**2 for frame in scored]))
     central = np.sqrt(np.mean([frame.scores.central**2 for frame in scored]))
-    nees = np.mean([frame.scores.nees for frame in scored]) / len(STAGE.score.nees_states)
+    nees = np.mean([frame.scores.nees for frame in scored]) / len(RUN.stage.score.nees_states)
     assert rmse == pytest.approx(figures.rmse)
     assert central == pytest.approx(figures.rmse_centralised)
     assert nees == pytest.approx(figures.anees)
 
 
 def test_nothing_is_lost_in_a_run_that_loses_nothing():
-    assert not any(frame.lost.any() for frame in FRAMES)
-    assert all(frame.alive.all() for frame in FRAMES)
+    assert not any(frame.lost.any() for frame in RUN.frames)
+    assert all(frame.alive.all() for frame in RUN.frames)
 
 
 def test_messages_of_a_step_may_come_in_any_order():
@@ -73,7 +72,7 @@ def test_messages_of_a_step_may_come_in_any_order():
     by_step: dict[int, list] = {}
     under_way: dict[str, int] = {}
     latest = 0
-    for topic, data in MESSAGES:
+    for topic, data in RUN.messages:
         kind, _, name = topic.partition("/")
         step = step_of(topic, data)
         if kind == "share":
@@ -89,15 +88,15 @@ def test_messages_of_a_step_may_come_in_any_order():
         order.shuffle(rest)
         order.shuffle(estimates)
         shuffled += rest + estimates
-    again = frames_of(STAGE, shuffled)
-    assert [frame.step for frame in again] == [frame.step for frame in FRAMES]
-    for one, other in zip(again, FRAMES, strict=True):
+    again = frames_of(RUN.stage, shuffled)
+    assert [frame.step for frame in again] == [frame.step for frame in RUN.frames]
+    for one, other in zip(again, RUN.frames, strict=True):
         np.testing.assert_array_equal(one.belief.mean, other.belief.mean)
         assert one.scores.central == other.scores.central
 
 
 def test_a_node_that_dies_unannounced_is_down_and_its_last_belief_stays():
-    frames = frames_of(STAGE, list(without(2, 9)))
+    frames = frames_of(RUN.stage, list(without(2, 9)))
     assert [frame.alive[2] for frame in frames[:9]] == [True] * 9
     down = [frame for frame in frames if frame.step >= 9]
     assert down
@@ -113,28 +112,28 @@ def test_a_node_that_left_is_not_waited_for():
         i for i, m in enumerate(messages) if m[0].startswith("estimate/") and step_of(*m) == 9
     )
     messages.insert(first_estimate, event(9, what="left", node=2))
-    frames = frames_of(STAGE, messages)
+    frames = frames_of(RUN.stage, messages)
     assert [frame.step for frame in frames] == list(range(24))
     assert not frames[9].alive[2]
     assert [e.text for e in frames[9].events] == ["node 02 was killed"]
 
 
 def test_a_cut_link_holds_from_its_step_until_it_is_healed():
-    i, j = map(int, STAGE.edges[0])
+    i, j = map(int, RUN.stage.edges[0])
     told = [
         event(5, what="cut", sender=i, receiver=j),
         event(11, what="healed", sender=i, receiver=j),
     ]
-    frames = frames_of(STAGE, told + MESSAGES)
+    frames = frames_of(RUN.stage, told + RUN.messages)
     assert [frame.step for frame in frames if frame.cut[0]] == list(range(5, 11))
     assert not any(frame.cut[1:].any() for frame in frames)
 
 
 def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
-    receiver, sender = map(int, STAGE.heard[0])
-    place = STAGE.setup.neighbours[receiver].index(sender)
+    receiver, sender = map(int, RUN.stage.heard[0])
+    place = RUN.stage.setup.neighbours[receiver].index(sender)
     messages = []
-    for topic, data in MESSAGES:
+    for topic, data in RUN.messages:
         message = None if topic.startswith("share/") else decode(topic, data)
         if isinstance(message, Estimate) and (message.node, message.step) == (receiver, 10):
             message.ages[place] += 4
@@ -142,13 +141,13 @@ def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
         messages.append((topic, data))
     lost = {
         (frame.step, int(k))
-        for frame in frames_of(STAGE, messages)
+        for frame in frames_of(RUN.stage, messages)
         for k in np.flatnonzero(frame.lost)
     }
     assert lost == {(10, 0)}
 
 
-def steps_of(messages=MESSAGES) -> list[WholeStep]:
+def steps_of(messages=RUN.messages) -> list[WholeStep]:
     together = WholeSteps(8, 3, SHARE_FRAMES)
     return [step for message in messages for step in together.take(*message)]
 
@@ -161,10 +160,10 @@ def shown(assembler: Assembler, steps: Iterable[WholeStep]) -> list[StepFrame]:
 @pytest.mark.parametrize("chosen", [range(12, 24), (1, 2, 9, 10, 20), (0, 23)])
 def test_frames_of_some_steps_are_those_of_all(chosen):
     steps = steps_of()
-    frames = shown(Assembler(STAGE), [steps[number] for number in chosen])
+    frames = shown(Assembler(RUN.stage), [steps[number] for number in chosen])
     assert [frame.step for frame in frames] == list(chosen)
     for frame in frames:
-        whole = FRAMES[frame.step]
+        whole = RUN.frames[frame.step]
         np.testing.assert_array_equal(frame.belief.mean, whole.belief.mean)
         np.testing.assert_array_equal(frame.ages, whole.ages)
         assert frame.cycles == whole.cycles
@@ -179,14 +178,14 @@ def test_frames_of_some_steps_are_those_of_all(chosen):
 def test_a_step_that_comes_again_or_too_late_is_not_drawn_twice():
     steps = steps_of()
     order = [steps[number] for number in (3, 4, 4, 2, 5)]
-    assert [frame.step for frame in shown(Assembler(STAGE), order)] == [3, 4, 5]
+    assert [frame.step for frame in shown(Assembler(RUN.stage), order)] == [3, 4, 5]
 
 
 def test_cycles_count_from_where_the_network_says():
     later = NetworkStatus(frozenset(range(8)), (4, 12, 3))
-    frames = shown(Assembler(STAGE, later), steps_of())
+    frames = shown(Assembler(RUN.stage, later), steps_of())
     numbers = [[cycle.cycle for cycle in frame.cycles] for frame in frames]
-    assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in FRAMES]
+    assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in RUN.frames]
 
 
 @pytest.mark.parametrize(
@@ -198,8 +197,8 @@ def test_cycles_count_from_where_the_network_says():
     ],
 )  # fmt: skip
 def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
-    frames = frames_of(STAGE, [rubbish, *MESSAGES])
-    assert [frame.scores.rmse for frame in frames] == [frame.scores.rmse for frame in FRAMES]
+    frames = frames_of(RUN.stage, [rubbish, *RUN.messages])
+    assert [frame.scores.rmse for frame in frames] == [frame.scores.rmse for frame in RUN.frames]
 
 
 @pytest.mark.parametrize(
@@ -207,15 +206,15 @@ def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
     [("meng2025", {}), ("vehicle-network", {}), ("liu2021-network", {}), ("oscillator", {})],
 )
 def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
-    stage, messages = run_of(name, steps=6, **changes)
-    assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))
+    run = run_of(name, steps=6, **changes)
+    assert [frame.step for frame in run.frames] == list(range(6))
 
 
 def test_the_page_of_several_targets_shows_their_number_and_gospa():
-    stage, messages = run_of("target-swarm", nodes=4, targets=2, steps=5, rounds=2)
-    trace = read_trace(stage.setup, messages)
-    frames = frames_of(stage, messages)
-    assert (stage.score.unit, stage.error_name, stage.place) == ("m", "GOSPA", ())
+    run = run_of("target-swarm", nodes=4, targets=2, steps=5, rounds=2)
+    trace = read_trace(run.stage.setup, run.messages)
+    frames = run.frames
+    assert (run.stage.score.unit, run.stage.error_name, run.stage.place) == ("m", "GOSPA", ())
     assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
     off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
     np.testing.assert_allclose([frame.scores.error for frame in frames], off)

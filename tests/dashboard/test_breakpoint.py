@@ -8,36 +8,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.dashboard.seeking.breakpoint import QUANTITIES, read_breakpoint
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=40, loss=0.2, changes=("25 kill 2",))
-FRAMES = frames_of(STAGE, MESSAGES)
+RUN = run_of("target-tracking", nodes=6, steps=40, loss=0.2, changes=("25 kill 2",))
 
 
 def steps_of(words: str) -> list[int]:
-    condition = read_breakpoint(words, STAGE)
-    return [frame.step for frame in FRAMES if condition.holds(frame)]
+    condition = read_breakpoint(words, RUN.stage)
+    return [frame.step for frame in RUN.frames if condition.holds(frame)]
 
 
 @given(st.floats(0.01, 100.0), st.sampled_from(["<", "<=", ">", ">="]))
 def test_a_comparison_is_that_of_the_numbers_of_the_charts(limit: float, sign: str):
     compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[sign]
     for word, name in (("rmse", "rmse"), ("nees", "nees"), ("disagreement", "spread")):
-        values = np.array([getattr(frame.scores, name) for frame in FRAMES])
+        values = np.array([getattr(frame.scores, name) for frame in RUN.frames])
         expected = [int(step) for step in np.flatnonzero(compare(values, limit))]
         assert steps_of(f"{word}{sign}{limit!r}") == expected
         assert steps_of(f"  {word.upper()}  {sign} {limit!r} ") == expected
 
 
 def test_nodes_have_quantities_of_their_own_and_the_network_has_the_largest_or_the_sum():
-    errors = np.array([frame.scores.error for frame in FRAMES])
+    errors = np.array([frame.scores.error for frame in RUN.frames])
     assert steps_of("error 3 > 5") == np.flatnonzero(errors[:, 3] > 5).tolist()
     assert steps_of("error 03 > 5") == steps_of("error 3 > 5")
     assert steps_of("error > 5") == np.flatnonzero(errors.max(axis=1) > 5).tolist()
     assert steps_of("down 2") == steps_of("silent 2") == steps_of("down") == list(range(25, 40))
     assert steps_of("silent") == steps_of("silent > 0")
     assert steps_of("down >= 2") == []
-    lost = [frame.step for frame in FRAMES if any(cycle.missed for cycle in frame.cycles)]
+    lost = [frame.step for frame in RUN.frames if any(cycle.missed for cycle in frame.cycles)]
     assert 0 < len(lost) < 40
     assert steps_of("missed") == lost
 
@@ -50,9 +49,9 @@ def test_and_binds_more_than_or():
 
 
 def test_a_rejection_holds_in_its_step():
-    stage, messages = run_of("target-tracking", nodes=6, steps=20, changes=("8 corrupt 0.5",))
-    frames = frames_of(stage, messages)
-    condition = read_breakpoint("rejected", stage)
+    run = run_of("target-tracking", nodes=6, steps=20, changes=("8 corrupt 0.5",))
+    frames = run.frames
+    condition = read_breakpoint("rejected", run.stage)
     told = {one.step for frame in frames for one in frame.events if "rejected" in one.text}
     assert told
     assert {frame.step for frame in frames if condition.holds(frame)} == told
@@ -60,7 +59,7 @@ def test_a_rejection_holds_in_its_step():
 
 @pytest.mark.parametrize("word", QUANTITIES)
 def test_each_quantity_has_a_number_in_some_step(word: str):
-    known = [QUANTITIES[word].value(frame, None) for frame in FRAMES]
+    known = [QUANTITIES[word].value(frame, None) for frame in RUN.frames]
     assert np.isfinite(known).any()
 
 
@@ -79,4 +78,4 @@ def test_each_quantity_has_a_number_in_some_step(word: str):
 )
 def test_words_that_mean_nothing_are_refused_with_a_cure(words: str, told: str):
     with pytest.raises(ValueError, match=re.escape(told)):
-        read_breakpoint(words, STAGE)
+        read_breakpoint(words, RUN.stage)

@@ -21,15 +21,15 @@ from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from tests.dashboard.runs import frames_of, run_of, setup_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
-AFTER = restaged(STAGE, {"occupancy": 0.5, "schedule": "hybrid"})
+RUN = run_of("target-tracking", nodes=8, steps=12)
+AFTER = restaged(RUN.stage, {"occupancy": 0.5, "schedule": "hybrid"})
 SILENT = 6
 
 
 def cycles() -> tuple[BusCycle, BusCycle]:
     """Return a cycle in which a node was silent, and one after a change to shorter cycles."""
-    size = {node: 100 for node in range(STAGE.nodes) if node != SILENT}
-    before = BusView(STAGE.bus).cycle(4, size, {})
+    size = {node: 100 for node in range(RUN.stage.nodes) if node != SILENT}
+    before = BusView(RUN.stage.bus).cycle(4, size, {})
     owners = AFTER.bus.schedule.static_senders(5)
     return before, BusView(AFTER.bus).cycle(5, dict.fromkeys(owners, 100), {})
 
@@ -38,16 +38,16 @@ def test_the_node_owned_a_slot_before_the_change_and_owns_none_after():
     before, after = cycles()
     assert before.silent == (SILENT,)
     assert SILENT not in AFTER.bus.schedule.static_senders(before.cycle)
-    assert AFTER.bus.cycle_us < STAGE.bus.cycle_us
-    assert (before.bus, after.bus) == (STAGE.bus, AFTER.bus)
+    assert AFTER.bus.cycle_us < RUN.stage.bus.cycle_us
+    assert (before.bus, after.bus) == (RUN.stage.bus, AFTER.bus)
 
 
 def test_a_past_cycle_is_drawn_with_its_own_timetable_and_to_the_same_scale():
     before, after = cycles()
-    frame = frames_of(STAGE, MESSAGES)[-1]._replace(cycles=(after,))
+    frame = frames_of(RUN.stage, RUN.messages)[-1]._replace(cycles=(after,))
     html = TimelineView(AFTER).draw(DARK, frame, [before], after, 0.0, None)
-    start_us, end_us = STAGE.bus.own_slot_us(SILENT, before.cycle)
-    scale = (WIDTH - LEFT - RIGHT) / STAGE.bus.cycle_us
+    start_us, end_us = RUN.stage.bus.own_slot_us(SILENT, before.cycle)
+    scale = (WIDTH - LEFT - RIGHT) / RUN.stage.bus.cycle_us
     y = TOP + BAR + 12
     expected = (LEFT + scale * start_us, scale * (end_us - start_us) - 0.7)
     paths = [path for path in re.findall(r'<path d="([^"]*)" fill=', html) if f" {y:g}h" in path]
@@ -64,41 +64,39 @@ def test_a_past_cycle_is_drawn_with_its_own_timetable_and_to_the_same_scale():
 
 
 def test_past_cycles_show_the_frames_that_were_missed_and_rejected():
-    stage, messages = run_of(
-        "target-tracking", nodes=8, steps=12, changes=("3 loss 0.3", "6 corrupt 0.4")
-    )
-    frames = frames_of(stage, messages)
+    run = run_of("target-tracking", nodes=8, steps=12, changes=("3 loss 0.3", "6 corrupt 0.4"))
+    frames = run.frames
     assert not any(cycle.missed or cycle.rejected for f in frames[:3] for cycle in f.cycles)
     past = [cycle for frame in frames for cycle in frame.cycles]
     # A node holds an older share than the frame that it missed.
     for frame in frames:
-        lost = {int(sender) for sender in stage.heard[frame.lost, 1]}
+        lost = {int(sender) for sender in run.stage.heard[frame.lost, 1]}
         assert lost == set(frame.cycles[-1].missed)
         counted = frame.traffic.rejected.sum()
         before = frames[frame.step - 1].traffic.rejected.sum() if frame.step else 0
         assert bool(frame.cycles[-1].rejected) == (counted > before)
     assert sum(len(cycle.missed) for cycle in past) > 20
     shown = past[-12:]
-    html = TimelineView(stage).draw(DARK, frames[-1], shown[-2::-1], shown[-1], 0.0, None)
+    html = TimelineView(run.stage).draw(DARK, frames[-1], shown[-2::-1], shown[-1], 0.0, None)
     marks = re.findall(r'class="missed" d="([^"]*)"', html)
     assert sum(mark.count("M") for mark in marks) == sum(len(c.missed) for c in shown[:-1])
     assert html.count('class="rejected"') == sum(bool(c.rejected) for c in shown[:-1]) > 0
 
 
 def test_a_run_that_is_changed_after_a_kill_keeps_the_bus_of_each_cycle():
-    stage, messages = run_of(
+    run = run_of(
         "target-tracking",
         nodes=8,
         steps=12,
         changes=("4 kill 6", "8 set occupancy=0.5 schedule=hybrid"),
     )
-    frames = frames_of(stage, messages)
+    frames = run.frames
     schedules = [frame.cycles[0].bus.schedule.static_table for frame in frames]
-    assert schedules[:8] == 8 * [STAGE.bus.schedule.static_table]
+    assert schedules[:8] == 8 * [RUN.stage.bus.schedule.static_table]
     assert schedules[8:] == 4 * [AFTER.bus.schedule.static_table]
     assert frames[7].cycles[-1].silent == (SILENT,)
     # The newest stage draws every past cycle, whatever its schedule was.
-    view = TimelineView(stage)
+    view = TimelineView(run.stage)
     for frame in frames:
         past = [
             cycle for one in frames for cycle in one.cycles if cycle.cycle < frame.cycles[0].cycle
@@ -136,7 +134,7 @@ class Script:
     live = takes_commands = True
 
     def __init__(self, frames: list[StepFrame]) -> None:
-        self.stage = STAGE
+        self.stage = RUN.stage
         self.frames = list(frames)
         self.state = SourceState("RUNNING")
 
@@ -155,7 +153,7 @@ class Script:
 
 @pytest.fixture
 def page() -> Iterator[Dashboard]:
-    source: object = Script(frames_of(STAGE, MESSAGES))
+    source: object = Script(frames_of(RUN.stage, RUN.messages))
     shown = open_network(source, None, "127.0.0.1", 0, light=False)  # type: ignore[arg-type]
     yield shown
     shown.close()

@@ -17,10 +17,9 @@ from concord.dashboard.panels.charts import sampled, shown_power, titled
 from concord.dashboard.panels.states import states
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
-STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)
-FRAMES = frames_of(STAGE, MESSAGES)
+RUN = run_of("oscillator", nodes=4, steps=60)
 
 
 def chart(title: str, *columns: np.ndarray) -> Drawn:
@@ -65,23 +64,23 @@ def test_titles_name_the_unit_and_the_power():
 
 
 def test_a_colour_means_one_thing_in_a_chart():
-    for each in (*run_charts(STAGE), *state_charts()):
+    for each in (*run_charts(RUN.stage), *state_charts()):
         solid = [line.colour(DARK) for line in each.lines if not line.dashed]
         assert len(set(solid)) == len(solid)
 
 
 def test_every_line_has_a_value_for_every_frame():
-    sample = sampled(STAGE, VIEW, kept(), nothing_expected)
-    for each in (*run_charts(STAGE), *state_charts()):
+    sample = sampled(RUN.stage, VIEW, kept(), nothing_expected)
+    for each in (*run_charts(RUN.stage), *state_charts()):
         for line in each.lines:
             assert line.column(sample).shape == sample.times.shape
 
 
 def test_charts_show_the_numbers_of_the_frames():
-    sample = sampled(STAGE, replace(VIEW, selected=2, state=1), kept(), nothing_expected)
+    sample = sampled(RUN.stage, replace(VIEW, selected=2, state=1), kept(), nothing_expected)
     lines = {
         (each.name, line.name): line.column(sample)[-1]
-        for each in (*run_charts(STAGE), *state_charts())
+        for each in (*run_charts(RUN.stage), *state_charts())
         for line in each.lines
     }
     last = sample.frames[-1]
@@ -93,7 +92,7 @@ def test_charts_show_the_numbers_of_the_frames():
         ("RMSE of the nodes, x", "nodes"): last.scores.rmse,
         ("Disagreement of the nodes, x", "rms spread"): last.scores.spread,
         ("NEES, mean of the nodes", "NEES"): last.scores.nees,
-        ("Payload on the bus", "payload"): sent / STAGE.setup.time_step_s / 1000,
+        ("Payload on the bus", "payload"): sent / RUN.stage.setup.time_step_s / 1000,
         ("State", "truth"): last.truth[1],
         ("State", "+3σ"): last.belief.mean[2, 1] + 3 * deviation,
         ("Error", "error"): off,
@@ -104,13 +103,13 @@ def test_charts_show_the_numbers_of_the_frames():
 
 @pytest.mark.parametrize(("options", "unit"), [({"rounds": 20}, "kB/s"), ({"rounds": 1}, "B/s")])
 def test_a_slow_bus_has_its_payload_in_bytes(options: dict[str, int], unit: str):
-    stage, _ = run_of("target-tracking", nodes=4, steps=1, **options)
+    stage = run_of("target-tracking", nodes=4, steps=1, **options).stage
     assert [each.unit for each in run_charts(stage) if each.name.startswith("Payload")] == [unit]
 
 
 def test_the_page_has_a_drawing_with_text_per_chart_that_shows_anything():
     charts = [chart("Error <of> all", RISING, NOTHING), chart("None", NOTHING)]
-    page = charts_page(STAGE, charts, VIEW)
+    page = charts_page(RUN.stage, charts, VIEW)
     assert page.count("<svg") == 1
     assert "<script" not in page
     assert "up to step 41" in page
@@ -123,14 +122,14 @@ def test_the_page_has_a_drawing_with_text_per_chart_that_shows_anything():
 
 def test_equal_charts_are_equal_bytes():
     charts = [chart("Error", RISING)]
-    assert charts_page(STAGE, charts, VIEW) == charts_page(STAGE, charts, VIEW)
+    assert charts_page(RUN.stage, charts, VIEW) == charts_page(RUN.stage, charts, VIEW)
 
 
 def test_the_picture_has_all_charts_below_each_other():
     from matplotlib.image import imread
 
     one, three = (
-        imread(io.BytesIO(charts_picture(STAGE, [chart("Error", RISING)] * count, VIEW)))
+        imread(io.BytesIO(charts_picture(RUN.stage, [chart("Error", RISING)] * count, VIEW)))
         for count in (1, 3)
     )
     assert one.shape[1] == three.shape[1] >= 1200
@@ -140,8 +139,8 @@ def test_the_picture_has_all_charts_below_each_other():
 
 
 def kept() -> FrameHistory:
-    history = FrameHistory(STAGE)
-    history.add(FRAMES)
+    history = FrameHistory(RUN.stage)
+    history.add(RUN.frames)
     return history
 
 
@@ -154,12 +153,12 @@ def lines_of(html: str) -> list[np.ndarray]:
 
 
 def test_states_show_truth_and_estimate_of_every_state():
-    drawn = lines_of(states(STAGE, View(step=59, selected=2), kept()))
-    assert len(drawn) == 2 * len(STAGE.state_names)
-    first = STAGE.score.first_step
-    for number in range(len(STAGE.state_names)):
+    drawn = lines_of(states(RUN.stage, View(step=59, selected=2), kept()))
+    assert len(drawn) == 2 * len(RUN.stage.state_names)
+    first = RUN.stage.score.first_step
+    for number in range(len(RUN.stage.state_names)):
         truth, mean = drawn[2 * number : 2 * number + 2]
-        scored = FRAMES[first:]
+        scored = RUN.frames[first:]
         # Pixels downwards: where the one is higher, its y is less.
         above = [f.belief.mean[2, number] - f.truth[number] for f in scored]
         shown = truth[:, 1] - mean[:, 1]
@@ -168,21 +167,21 @@ def test_states_show_truth_and_estimate_of_every_state():
 
 
 def test_states_of_an_unknown_truth_are_estimates_alone():
-    unknown = FrameHistory(STAGE)
-    unknown.add(f._replace(truth=np.full_like(f.truth, np.nan)) for f in FRAMES)
-    html = states(STAGE, View(step=59), unknown)
+    unknown = FrameHistory(RUN.stage)
+    unknown.add(f._replace(truth=np.full_like(f.truth, np.nan)) for f in RUN.frames)
+    html = states(RUN.stage, View(step=59), unknown)
     assert "nan" not in html.lower()
-    assert [len(line) for line in lines_of(html)][::2] == [0] * len(STAGE.state_names)
+    assert [len(line) for line in lines_of(html)][::2] == [0] * len(RUN.stage.state_names)
 
 
 @pytest.mark.parametrize(("apart", "spread"), [(1e-15, 0.0), (1e-9, 1e-9), (0.5, 0.5)])
 def test_what_is_rounding_is_no_disagreement(apart: float, spread: float):
-    belief, fused = FRAMES[30].belief, FRAMES[30].fused
+    belief, fused = RUN.frames[30].belief, RUN.frames[30].fused
     # Two nodes on either side of the others, whose scored states are large.
     mean = np.full_like(belief.mean, 17.3)
     mean[:2] += np.array([[apart], [-apart]]) * 17.3
-    alive = np.ones(STAGE.nodes, dtype=bool)
-    scores = score(STAGE, mean[2], belief._replace(mean=mean), alive, fused, None)
-    states = len(STAGE.score.states)
-    expected = spread * 17.3 * np.sqrt(2 * states / STAGE.nodes)
+    alive = np.ones(RUN.stage.nodes, dtype=bool)
+    scores = score(RUN.stage, mean[2], belief._replace(mean=mean), alive, fused, None)
+    states = len(RUN.stage.score.states)
+    expected = spread * 17.3 * np.sqrt(2 * states / RUN.stage.nodes)
     assert scores.spread == pytest.approx(expected, rel=1e-5, abs=0.0)

@@ -17,7 +17,7 @@ from concord.dashboard.serve import open_network
 from concord.runtime.whole_steps import WholeSteps
 from tests.dashboard.runs import frames_of, run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
+RUN = run_of("target-tracking", nodes=8, steps=12)
 
 
 @pytest.mark.parametrize(
@@ -45,17 +45,17 @@ STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
     ],
 )  # fmt: skip
 def test_a_command_is_said_as_a_person_says_it(command: dict, words: str):
-    assert in_a_sentence(command, STAGE.names) == words
+    assert in_a_sentence(command, RUN.stage.names) == words
 
 
 class Scripted:
     """A live source whose state a test sets, and which accepts all commands."""
 
     live = takes_commands = True
-    stage = STAGE
+    stage = RUN.stage
 
     def __init__(self) -> None:
-        self.frames = frames_of(STAGE, MESSAGES)[:6]
+        self.frames = frames_of(RUN.stage, RUN.messages)[:6]
         self.state = SourceState("PAUSED", "6 of 12 steps", 6, 5.0)
         self.asked: list[str] = []
 
@@ -131,9 +131,9 @@ def test_a_page_on_a_paused_network_says_that_it_waits_for_a_step(
 
 
 def test_the_filter_that_hears_everything_is_not_begun_in_the_middle():
-    whole = WholeSteps(STAGE.nodes, STAGE.rounds, STAGE.bus.frame_format)
-    steps = [step for topic, data in MESSAGES for step in whole.take(topic, data)]
-    from_start, from_middle = Assembler(STAGE), Assembler(STAGE)
+    whole = WholeSteps(RUN.stage.nodes, RUN.stage.rounds, RUN.stage.bus.frame_format)
+    steps = [step for topic, data in RUN.messages for step in whole.take(topic, data)]
+    from_start, from_middle = Assembler(RUN.stage), Assembler(RUN.stage)
     for first, assembler in ((0, from_start), (5, from_middle)):
         frames = [frame for frame in map(assembler.frame, steps[first:]) if frame is not None]
         assert len(frames) == len(steps) - first

@@ -13,10 +13,9 @@ from concord.dashboard.scene.plane import Plane
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
 from concord.filters.gaussian import Gaussian
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=30)
-FRAME = frames_of(STAGE, MESSAGES)[-1]
+RUN = run_of("target-tracking", nodes=8, steps=30)
 VIEW = View(magnify=1.0, ellipses="all")
 
 
@@ -29,29 +28,33 @@ def with_errors(frame: StepFrame, error_m: float, width_m: float, nodes: int = 8
 
 @pytest.mark.parametrize("reach_m", [0.1, 1.0, 8.0, 70.0, 900.0])
 def test_the_factor_makes_the_middle_error_a_good_part_of_the_map(reach_m: float):
-    frame = with_errors(FRAME, reach_m, reach_m / 30)
-    factor = followed_magnification(1.0, frame, STAGE.scale)
-    drawn = factor * reach_m * STAGE.scale
+    frame = with_errors(RUN.frames[-1], reach_m, reach_m / 30)
+    factor = followed_magnification(1.0, frame, RUN.stage.scale)
+    drawn = factor * reach_m * RUN.stage.scale
     assert factor in MAGNIFIED
     if 1 < factor < max(MAGNIFIED):
         assert SCENE_WIDTH / 7 / 2.5 - 1e-9 <= drawn <= SCENE_WIDTH / 7 * 1.3 + 1e-9
     # Where it is, it stays.
-    assert followed_magnification(factor, frame, STAGE.scale) == factor
+    assert followed_magnification(factor, frame, RUN.stage.scale) == factor
 
 
 def test_some_nodes_that_diverge_leave_the_factor_alone():
-    now = followed_magnification(1.0, FRAME, STAGE.scale)
+    now = followed_magnification(1.0, RUN.frames[-1], RUN.stage.scale)
     assert now > 1
-    some = with_errors(FRAME, 5000.0, 5000.0, nodes=3)
-    assert followed_magnification(now, some, STAGE.scale) == now
-    assert followed_magnification(now, with_errors(FRAME, 5e3, 5e3), STAGE.scale) == 1.0
+    some = with_errors(RUN.frames[-1], 5000.0, 5000.0, nodes=3)
+    assert followed_magnification(now, some, RUN.stage.scale) == now
+    assert (
+        followed_magnification(now, with_errors(RUN.frames[-1], 5e3, 5e3), RUN.stage.scale) == 1.0
+    )
 
 
 def test_a_small_change_of_the_errors_does_not_change_the_factor():
     for reach_m in np.geomspace(0.5, 200.0, 40):
-        factor = followed_magnification(1.0, with_errors(FRAME, reach_m, 0.0), STAGE.scale)
-        near = with_errors(FRAME, 1.2 * reach_m, 0.0)
-        assert followed_magnification(factor, near, STAGE.scale) == factor
+        factor = followed_magnification(
+            1.0, with_errors(RUN.frames[-1], reach_m, 0.0), RUN.stage.scale
+        )
+        near = with_errors(RUN.frames[-1], 1.2 * reach_m, 0.0)
+        assert followed_magnification(factor, near, RUN.stage.scale) == factor
 
 
 def test_arrows_lie_at_the_edge_and_point_to_what_is_outside():
@@ -71,21 +74,23 @@ def test_arrows_lie_at_the_edge_and_point_to_what_is_outside():
 def test_an_ellipse_that_covers_the_map_is_an_outline_and_what_is_outside_is_marked():
     server = PageServer("127.0.0.1", 0).server
     try:
-        plane = Plane(server.scene, STAGE)
+        plane = Plane(server.scene, RUN.stage)
         view = replace(VIEW, selected=2)
-        plane.draw(view, FRAME, [FRAME])()
+        plane.draw(view, RUN.frames[-1], [RUN.frames[-1]])()
         filled = (np.asarray(plane._fill.batched_scales)[:, 0] > 0.01).nonzero()[0].tolist()
-        assert filled == [2, STAGE.nodes]
+        assert filled == [2, RUN.stage.nodes]
         assert not plane._outside.visible
         # Every belief is far away and wide.
-        wide = 1e6 * np.eye(len(STAGE.state_names))
-        belief = Gaussian(FRAME.belief.mean + 4e3, np.tile(wide, (STAGE.nodes, 1, 1)))
-        frame = FRAME._replace(belief=belief, fused=Gaussian(FRAME.fused.mean + 4e3, wide))
+        wide = 1e6 * np.eye(len(RUN.stage.state_names))
+        belief = Gaussian(RUN.frames[-1].belief.mean + 4e3, np.tile(wide, (RUN.stage.nodes, 1, 1)))
+        frame = RUN.frames[-1]._replace(
+            belief=belief, fused=Gaussian(RUN.frames[-1].fused.mean + 4e3, wide)
+        )
         plane.draw(view, frame, [frame])()
         assert (np.asarray(plane._fill.batched_scales)[:, 0] < 0.01).all()
         assert plane._outlines.visible
         assert plane._outside.visible
-        assert len(plane._outside.points) == 3 * (STAGE.nodes + 1)
+        assert len(plane._outside.points) == 3 * (RUN.stage.nodes + 1)
         assert plane._factor.text == "errors × 1"
         # Fit aims at all of them.
         assert plane.shown(view, frame)[:, 0].max() > SCENE_WIDTH

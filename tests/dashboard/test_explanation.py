@@ -12,7 +12,7 @@ from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.fusion.hold import held_weights, inverse_volume
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
 
 def read_shares(stage, messages) -> dict[tuple[int, int], Gaussian]:
@@ -28,19 +28,19 @@ def read_shares(stage, messages) -> dict[tuple[int, int], Gaussian]:
 
 
 def test_the_weights_of_a_step_make_its_estimate_of_its_shares():
-    stage, messages = run_of("target-tracking", nodes=8, steps=12, graph="ring")
-    frame = frames_of(stage, messages)[-1]
-    shares = read_shares(stage, messages)
+    run = run_of("target-tracking", nodes=8, steps=12, graph="ring")
+    frame = run.frames[-1]
+    shares = read_shares(run.stage, run.messages)
     last = frame.cycles[-1].cycle
-    for node in range(stage.nodes):
+    for node in range(run.stage.nodes):
         made = provenance([frame], node)
         senders = [share.sender for share in made.shares]
-        assert senders == stage.setup.neighbours[node]
+        assert senders == run.stage.setup.neighbours[node]
         said = [shares[last, one] for one in (node, *senders)]
         beliefs = Gaussian(np.array([b.mean for b in said]), np.array([b.cov for b in said]))
         weights = np.array([made.own_weight, *(share.weight for share in made.shares)])
         # By the definition of the rule, from the frames alone.
-        base, ages = np.array(stage.setup.weights[node]), np.zeros(len(said), dtype=int)
+        base, ages = np.array(run.stage.setup.weights[node]), np.zeros(len(said), dtype=int)
         volumes = inverse_volume(beliefs.cov)
         assert weights == pytest.approx(held_weights(base, ages, 0.5, volumes), abs=2e-4)
         fused = covariance_intersection(beliefs, weights / weights.sum())
@@ -49,11 +49,11 @@ def test_the_weights_of_a_step_make_its_estimate_of_its_shares():
 
 
 def test_each_share_is_found_where_it_was_on_the_bus():
-    stage, messages = run_of(
+    run = run_of(
         "target-tracking", nodes=8, steps=25, graph="ring", schedule="hybrid", occupancy=0.5,
         loss=0.3, changes=("5 kill 6", "9 cut 1 2"),
     )  # fmt: skip
-    frames = frames_of(stage, messages)
+    frames = run.frames
     met = set()
     for end in range(8, len(frames) + 1):
         past = frames[:end][-STEPS_BACK:]
@@ -81,21 +81,21 @@ def test_each_share_is_found_where_it_was_on_the_bus():
 
 
 def test_a_rule_that_does_not_average_tells_no_weight_and_the_page_says_so():
-    stage, messages = run_of("target-tracking", nodes=8, steps=4, rule="local")
-    html = explanation(DARK, frames_of(stage, messages), 2)
+    run = run_of("target-tracking", nodes=8, steps=4, rule="local")
+    html = explanation(DARK, run.frames, 2)
     assert "The rule local tells no weights." in html
     assert "nan" not in html
 
 
 def test_the_table_names_slot_age_and_weight_of_each_share():
-    stage, messages = run_of("target-tracking", nodes=8, steps=6, graph="ring")
-    frames = frames_of(stage, messages)
+    run = run_of("target-tracking", nodes=8, steps=6, graph="ring")
+    frames = run.frames
     html = explanation(DARK, frames, 2)
     rows = dict(re.findall(r'<tr data-sender="(\d+)">(.*?)</tr>', html))
-    assert sorted(map(int, rows)) == stage.setup.neighbours[2]
+    assert sorted(map(int, rows)) == run.stage.setup.neighbours[2]
     for share in provenance(frames, 2).shares:
         cells = re.findall(r"<td[^>]*>(.*?)</td>", rows[str(share.sender)])
         frame = share.frames[0]
-        assert cells[:3] == [stage.names[share.sender], f"{share.weight:.2f}", "0"]
+        assert cells[:3] == [run.stage.names[share.sender], f"{share.weight:.2f}", "0"]
         assert cells[3] == f"5, {share.bus_cycle}"
         assert cells[4].startswith(f"{frame.frame_id} (")

@@ -24,11 +24,10 @@ from concord.dashboard.view import View
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from tests.dashboard.browser_tab import new_tab
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 from tests.processes import PATIENCE_S, holds_within
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)
-FRAMES = frames_of(STAGE, MESSAGES)
+RUN = run_of("target-tracking", nodes=6, steps=30)
 VIEW = View(theme=LIGHT, step=29, selected=2)
 _DRAWN = (
     "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"
@@ -59,9 +58,9 @@ def _note_outside(url: str, troubles: list[str]) -> None:
 
 def test_the_animated_scene_is_a_page_that_moves_by_itself(chromium, tmp_path: Path):
     file = tmp_path / "scene.html"
-    around = STAGE.in_scene(STAGE.whereabouts)
+    around = RUN.stage.in_scene(RUN.stage.whereabouts)
     camera = aimed(around, Free(800.0, 600.0, 20.0, 20.0, 780.0, 580.0))
-    file.write_text(animated_scene(STAGE, VIEW, FRAMES, camera))
+    file.write_text(animated_scene(RUN.stage, VIEW, RUN.frames, camera))
     page, troubles = opened(chromium, file)
     try:
         page.wait_for_function(_DRAWN, timeout=60_000)
@@ -79,19 +78,21 @@ def test_the_animated_scene_is_a_page_that_moves_by_itself(chromium, tmp_path: P
 
 def test_scene_bus_and_charts_of_an_exported_run_scrub_together(chromium, tmp_path: Path):
     view = View(theme=LIGHT, step=29)
-    times = np.array([frame.time_s for frame in FRAMES])
-    sample = Sample(STAGE, view, FRAMES, times, nothing_expected(times))
+    times = np.array([frame.time_s for frame in RUN.frames])
+    sample = Sample(RUN.stage, view, RUN.frames, times, nothing_expected(times))
     charts = [
         Drawn(
             f"{chart.name} </script>",
             times,
             tuple(Curve(one.name, (9, 9, 9), False, one.column(sample)) for one in chart.lines),
         )
-        for chart in run_charts(STAGE)
+        for chart in run_charts(RUN.stage)
     ]
-    camera = aimed(STAGE.in_scene(STAGE.whereabouts), Free(800.0, 600.0, 20.0, 20.0, 380.0, 380.0))
+    camera = aimed(
+        RUN.stage.in_scene(RUN.stage.whereabouts), Free(800.0, 600.0, 20.0, 20.0, 380.0, 380.0)
+    )
     file = tmp_path / "run.html"
-    file.write_text(animated_scene(STAGE, view, FRAMES, camera, charts))
+    file.write_text(animated_scene(RUN.stage, view, RUN.frames, camera, charts))
     page, troubles = opened(chromium, file, "?step=12")
 
     def told() -> str:
@@ -104,9 +105,9 @@ def test_scene_bus_and_charts_of_an_exported_run_scrub_together(chromium, tmp_pa
     try:
         page.wait_for_function(_DRAWN, timeout=60_000)
         page.wait_for_function(_TOLD, arg="step 12,", timeout=60_000)
-        assert f"RMSE {FRAMES[12].scores.rmse:.3g} m" in told()
+        assert f"RMSE {RUN.frames[12].scores.rmse:.3g} m" in told()
         assert page.get_by_test_id("bus-cycle").text_content() == str(
-            FRAMES[12].cycles[-1].bus_cycle
+            RUN.frames[12].cycles[-1].bus_cycle
         )
         assert len(cursors()) == 1, "all charts mark the same time"
         before, believed = cursors(), page.evaluate(_BELIEVED)
@@ -119,7 +120,7 @@ def test_scene_bus_and_charts_of_an_exported_run_scrub_together(chromium, tmp_pa
         page.wait_for_function(_TOLD, arg="step 25,", timeout=60_000)
         assert cursors() != before
         assert page.get_by_test_id("bus-cycle").text_content() == str(
-            FRAMES[25].cycles[-1].bus_cycle
+            RUN.frames[25].cycles[-1].bus_cycle
         )
         page.wait_for_function(
             f"(before)=>({_BELIEVED})() !== before", arg=believed, timeout=60_000
@@ -141,12 +142,12 @@ def _pixels(picture: bytes) -> np.ndarray:
 
 
 def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path: Path):
-    dashboard = open_recording(STAGE.setup, recorded(tmp_path), "127.0.0.1", 0, light=True)
+    dashboard = open_recording(RUN.stage.setup, recorded(tmp_path), "127.0.0.1", 0, light=True)
     try:
         assert holds_within(PATIENCE_S, lambda: _loaded(dashboard)), "the recording never loaded"
-        dashboard.page.charts.draw(sampled(STAGE, VIEW, dashboard.history, nothing_expected))
+        dashboard.page.charts.draw(sampled(RUN.stage, VIEW, dashboard.history, nothing_expected))
         file = tmp_path / "charts.html"
-        file.write_text(charts_page(STAGE, dashboard.page.charts.drawn, VIEW))
+        file.write_text(charts_page(RUN.stage, dashboard.page.charts.drawn, VIEW))
     finally:
         dashboard.close()
     page, troubles = opened(chromium, file)
@@ -169,8 +170,8 @@ def recorded(place: Path) -> Path:
     """A recording of the run, in a folder of its own."""
     file = place / "run" / "run.mcap"
     file.parent.mkdir()
-    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s, SHARE_FRAMES)
-    drive(STAGE.setup, recorder, lambda _: None)
+    recorder = McapRecorder(file, RUN.stage.rounds, RUN.stage.setup.time_step_s, SHARE_FRAMES)
+    drive(RUN.stage.setup, recorder, lambda _: None)
     recorder.close()
     return file
 
@@ -179,9 +180,9 @@ def test_the_folder_of_a_run_can_be_replayed_from_its_archive(tmp_path: Path):
     folder = recorded(tmp_path).parent
     (folder / "run.json").write_text("{}")
     zipfile.ZipFile(io.BytesIO(zipped(folder))).extractall(tmp_path / "elsewhere")
-    again = list(replayed(STAGE, tmp_path / "elsewhere" / "run" / "run.mcap"))
+    again = list(replayed(RUN.stage, tmp_path / "elsewhere" / "run" / "run.mcap"))
     assert [frame.step for frame in again] == list(range(30))
-    np.testing.assert_array_equal(again[-1].belief.mean, FRAMES[-1].belief.mean)
+    np.testing.assert_array_equal(again[-1].belief.mean, RUN.frames[-1].belief.mean)
 
 
 def test_a_folder_that_cannot_be_read_is_said(tmp_path: Path):

@@ -13,7 +13,7 @@ from concord.dashboard.view import View
 from concord.experiments.results.innovations.of_run import run_innovations
 from concord.experiments.results.trace import read_trace
 from concord.runtime.whole_steps import WholeSteps
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
 
 @pytest.mark.parametrize(
@@ -26,11 +26,11 @@ from tests.dashboard.runs import frames_of, run_of
     ],
 )
 def test_frames_have_the_nis_of_the_run(name: str, options: dict):
-    stage, messages = run_of(name, **options)
-    found = run_innovations(stage.setup, read_trace(stage.setup, messages))
+    run = run_of(name, **options)
+    found = run_innovations(run.stage.setup, read_trace(run.stage.setup, run.messages))
     assert found is not None
     nis, entries = found.own.nis[0], found.own.entries[0]
-    for frame in frames_of(stage, messages):
+    for frame in run.frames:
         told = frame.scores.nis
         assert told is not None
         np.testing.assert_allclose(told.squares, np.nansum(nis[frame.step], axis=-1), rtol=1e-9)
@@ -38,12 +38,12 @@ def test_frames_have_the_nis_of_the_run(name: str, options: dict):
 
 
 def test_the_chart_has_nodes_the_selected_one_and_their_bounds():
-    stage, messages = run_of("oscillator", nodes=4, steps=30)
-    frames = frames_of(stage, messages)
+    run = run_of("oscillator", nodes=4, steps=30)
+    frames = run.frames
     times = np.array([frame.time_s for frame in frames])
     for selected in (None, 2, 3):  # node 3 is blind
         view = View(selected=selected)
-        sample = Sample(stage, view, frames, times, nothing_expected(times))
+        sample = Sample(run.stage, view, frames, times, nothing_expected(times))
         nodes, own, low, high = (line.column(sample) for line in nis_chart().lines)
         assert np.isfinite(nodes).all() and (low < 1).all() and (high > 1).all()
         assert np.isfinite(own).all() == (selected == 2)
@@ -51,10 +51,10 @@ def test_the_chart_has_nodes_the_selected_one_and_their_bounds():
 
 
 def test_a_step_that_was_left_out_has_no_nis_after_it():
-    stage, messages = run_of("oscillator", nodes=4, steps=10)
-    together = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
-    steps = [step for message in messages for step in together.take(*message)]
-    assembler = Assembler(stage)
+    run = run_of("oscillator", nodes=4, steps=10)
+    together = WholeSteps(run.stage.nodes, run.stage.rounds, run.stage.bus.frame_format)
+    steps = [step for message in run.messages for step in together.take(*message)]
+    assembler = Assembler(run.stage)
     frames = [assembler.frame(step) for step in steps if step.number != 5]
     nis = {frame.step: frame.scores.nis for frame in frames if frame is not None}
     told = nis[6]
@@ -65,11 +65,11 @@ def test_a_step_that_was_left_out_has_no_nis_after_it():
 
 @pytest.mark.parametrize(("line", "tail"), [(2, 0.025), (3, 0.975)])
 def test_the_bounds_are_those_of_chi_square(line: int, tail: float):
-    stage, messages = run_of("oscillator", nodes=4, steps=3)
-    frame = frames_of(stage, messages)[-1]
+    run = run_of("oscillator", nodes=4, steps=3)
+    frame = run.frames[-1]
     for freedom in (3, 4, 9, 48, 400):
         told = StepNis(np.zeros(4), np.array([freedom, 0, 0, 0]))
         shown = frame._replace(scores=frame.scores._replace(nis=told))
-        sample = Sample(stage, View(), [shown], np.zeros(1), nothing_expected(np.zeros(1)))
+        sample = Sample(run.stage, View(), [shown], np.zeros(1), nothing_expected(np.zeros(1)))
         (bound,) = nis_chart().lines[line].column(sample)
         assert abs(bound - chdtri(freedom, 1 - tail) / freedom) < 0.012

@@ -18,12 +18,11 @@ from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH, Axis, sl
 from concord.dashboard.panels.zoom import SIZE, zoom
 from concord.dashboard.theme import DARK, LIGHT, linear
 from concord.dashboard.view import View
-from tests.dashboard.runs import frames_of, run_of, setup_of
+from tests.dashboard.runs import run_of, setup_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
-FRAMES = frames_of(STAGE, MESSAGES)
-FRAME = FRAMES[-1]
-EVIL = replace(STAGE, names=("<script>alert(1)</script>", *STAGE.names[1:]))
+RUN = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
+FRAME = RUN.frames[-1]
+EVIL = replace(RUN.stage, names=("<script>alert(1)</script>", *RUN.stage.names[1:]))
 
 
 def svg(html: str) -> ElementTree.Element:
@@ -33,9 +32,9 @@ def svg(html: str) -> ElementTree.Element:
     return ElementTree.fromstring(found.group())
 
 
-def timeline(frame=FRAME, now_us: float = 0.0, selected: int | None = None, stage=STAGE) -> str:
+def timeline(frame=FRAME, now_us: float = 0.0, selected: int | None = None, stage=RUN.stage) -> str:
     cycle = frame.cycles[-1]
-    past = [c for f in FRAMES for c in f.cycles][::-1]
+    past = [c for f in RUN.frames for c in f.cycles][::-1]
     return TimelineView(stage).draw(DARK, frame, past, cycle, now_us, selected)
 
 
@@ -48,7 +47,7 @@ def boxes(html: str) -> dict[int, ElementTree.Element]:
 
 
 def test_frames_lie_to_scale_in_the_cycle():
-    bus = STAGE.bus
+    bus = RUN.stage.bus
     assert bus.has_time
     drawn = boxes(timeline())
     for frame in FRAME.cycles[-1].frames:
@@ -63,7 +62,7 @@ def test_frames_of_two_channels_do_not_cover_each_other():
 
     def extent(channel: str, channels: str) -> tuple[float, float]:
         sent = frame._replace(channel=channel)
-        text = slot(Axis(STAGE.bus.cycle_us), DARK, "n", sent, "past", False, False, channels)
+        text = slot(Axis(RUN.stage.bus.cycle_us), DARK, "n", sent, "past", False, False, channels)
         rect = ElementTree.fromstring(text).find("rect")
         assert rect is not None
         top = float(rect.attrib["y"])
@@ -86,21 +85,21 @@ def test_the_frame_that_is_on_the_bus_has_a_colour_of_its_own():
 
 def test_an_owner_that_is_silent_has_a_crossed_slot():
     cycle = FRAME.cycles[-1]
-    owner = STAGE.bus.schedule.static_senders(cycle.cycle)[0]
+    owner = RUN.stage.bus.schedule.static_senders(cycle.cycle)[0]
     silent = cycle._replace(
         silent=(owner,), frames=tuple(f for f in cycle.frames if f.node != owner)
     )
     html = timeline(FRAME._replace(cycles=(*FRAME.cycles[:-1], silent)))
-    assert f"node {STAGE.names[owner]}: silent" in html
+    assert f"node {RUN.stage.names[owner]}: silent" in html
     assert "silent</title>" not in timeline()
 
 
 def test_the_beliefs_lie_around_the_truth():
-    html = zoom(STAGE, LIGHT, FRAME, (0, 2), 3)
+    html = zoom(RUN.stage, LIGHT, FRAME, (0, 2), 3)
     drawing = svg(html)
-    assert len(list(drawing.iter("ellipse"))) == STAGE.nodes + 1
+    assert len(list(drawing.iter("ellipse"))) == RUN.stage.nodes + 1
     dots = [c for c in drawing.iter("circle") if "data-node" in c.attrib]
-    assert len(dots) == STAGE.nodes
+    assert len(dots) == RUN.stage.nodes
     for dot in dots:
         node = int(dot.attrib["data-node"])
         off = FRAME.belief.mean[node, [0, 2]] - FRAME.truth[[0, 2]]
@@ -111,26 +110,26 @@ def test_the_beliefs_lie_around_the_truth():
 
 def test_an_unknown_truth_is_no_picture_of_nan():
     blind = FRAME._replace(truth=np.full_like(FRAME.truth, np.nan))
-    assert "nan" not in zoom(STAGE, DARK, blind, (0, 2), None).lower()
-    assert "nan" not in node_table(STAGE, View(), blind).lower()
+    assert "nan" not in zoom(RUN.stage, DARK, blind, (0, 2), None).lower()
+    assert "nan" not in node_table(RUN.stage, View(), blind).lower()
 
 
 def test_the_table_tells_who_is_down_and_who_is_selected():
     view = View(selected=2)
     down = FRAME._replace(alive=np.arange(8) != 5)
-    html = node_table(STAGE, view, down)
+    html = node_table(RUN.stage, view, down)
     rows = re.findall(r'<tr data-node="(\d+)" data-state="(\w+)"', html)
     assert [int(node) for node, _ in rows] == list(range(8))
     assert dict(rows)["5"] == "down"
     assert "DOWN" in html
-    assert "DOWN" not in node_table(STAGE, view, FRAME)
+    assert "DOWN" not in node_table(RUN.stage, view, FRAME)
 
 
 def test_small_numbers_have_a_power_of_ten_in_the_heading():
-    usual = node_table(STAGE, View(), FRAME)
+    usual = node_table(RUN.stage, View(), FRAME)
     assert ">error</th>" in usual and ">3σ</th>" in usual
     scores = FRAME.scores._replace(error=1e-4 * FRAME.scores.error, width=1e-4 * FRAME.scores.width)
-    small = node_table(STAGE, View(), FRAME._replace(scores=scores))
+    small = node_table(RUN.stage, View(), FRAME._replace(scores=scores))
     assert ">error 10⁻³</th>" in small and ">3σ 10⁻³</th>" in small
     numbers = re.findall(r'class="why"[^>]*>([^<]*)</td>', small)
     for shown, value in zip(numbers[1::2], 3e3 * scores.width, strict=True):
@@ -144,15 +143,15 @@ def test_large_numbers_are_written_in_full():
     assert (rounded(-7621.0, 2), rounded(3.2e7)) == ("-7600", "3.2e+07")
     scores = FRAME.scores._replace(error=2284 + 0 * FRAME.scores.error, rmse=2284.0)
     wrong = FRAME._replace(scores=scores)
-    assert "e+" not in node_table(STAGE, View(), wrong) and "e+" not in status(
-        STAGE, DARK, wrong, "PAUSED"
+    assert "e+" not in node_table(RUN.stage, View(), wrong) and "e+" not in status(
+        RUN.stage, DARK, wrong, "PAUSED"
     )
 
 
 def test_one_round_is_one_round():
     single = set_stage(setup_of("target-tracking", nodes=8, rounds=1))
     assert "ci, 1 round<" in status(single, DARK, None, "PAUSED")
-    assert "ci, 3 rounds<" in status(STAGE, DARK, FRAME, "PAUSED")
+    assert "ci, 3 rounds<" in status(RUN.stage, DARK, FRAME, "PAUSED")
 
 
 def test_large_networks_show_the_worst_and_the_selected():
@@ -181,16 +180,16 @@ def test_text_from_outside_is_escaped(theme):
 
 def test_conditions_name_the_most_serious():
     assert set(conditions(FRAME)) <= {"up", "blind"}
-    lost = FRAME._replace(lost=np.arange(len(STAGE.heard)) == 0)
-    assert conditions(lost)[STAGE.heard[0, 0]] == "stale"
+    lost = FRAME._replace(lost=np.arange(len(RUN.stage.heard)) == 0)
+    assert conditions(lost)[RUN.stage.heard[0, 0]] == "stale"
     rejected = lost._replace(events=(LogEntry(23, "node 00 rejected a frame: crc", 0, True),))
     assert conditions(rejected)[0] == "rejected"
     assert conditions(rejected._replace(alive=np.zeros(8, bool))) == ["down"] * 8
 
 
 def test_the_oldest_share_is_per_receiver():
-    ages = np.arange(len(STAGE.heard))
-    expected = [ages[STAGE.heard[:, 0] == node].max() for node in range(8)]
+    ages = np.arange(len(RUN.stage.heard))
+    expected = [ages[RUN.stage.heard[:, 0] == node].max() for node in range(8)]
     assert oldest(FRAME._replace(ages=ages)).tolist() == expected
 
 
@@ -207,12 +206,12 @@ def test_linear_light_is_the_inverse_of_the_screen():
 
 def test_the_cycle_is_numbered_by_the_time_of_the_bus():
     """The counter of the bus goes on between the steps."""
-    bus, cycle = STAGE.bus, FRAME.cycles[-1]
-    first_us = 1e6 * STAGE.setup.time_step_s * FRAME.step
+    bus, cycle = RUN.stage.bus, FRAME.cycles[-1]
+    first_us = 1e6 * RUN.stage.setup.time_step_s * FRAME.step
     begins_us = cycle.bus_cycle * bus.cycle_us - (len(FRAME.cycles) - 1) * bus.cycle_us
     assert 0 <= begins_us - first_us < bus.schedule.period * bus.cycle_us
     html = timeline()
     assert f'data-testid="bus-cycle">{cycle.bus_cycle}<' in html
     in_step = sum(bus.load(one.frames) for one in FRAME.cycles) * bus.cycle_us
-    over_all = 100 * in_step / (1e6 * STAGE.setup.time_step_s)
+    over_all = 100 * in_step / (1e6 * RUN.stage.setup.time_step_s)
     assert f"({over_all:.2g} % of all)" in html

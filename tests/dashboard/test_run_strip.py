@@ -1,20 +1,27 @@
 """The strip of a run: its bins hold every step once, and its marks are where things happened."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.panels.run_strip import MOST_BINS, RunStrip, binned
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
 from tests.dashboard.runs import event, frames_of, run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30, loss=0.2)
-FRAMES = frames_of(STAGE, [event(9, what="left", node=2), *MESSAGES])
+RUN = run_of("target-tracking", nodes=6, steps=30, loss=0.2)
+
+
+@cache
+def frames() -> list[StepFrame]:
+    """The frames of the run, with the departure of a node."""
+    return frames_of(RUN.stage, [event(9, what="left", node=2), *RUN.messages])
 
 
 @given(st.sets(st.integers(0, 2000), min_size=1), st.integers(0, 10**6))
@@ -36,16 +43,16 @@ def test_each_step_is_in_one_bin_and_no_number_is_lost(steps: set[int], first: i
 
 
 def test_misses_events_and_the_shown_step_are_marked_in_their_bins():
-    history, strip = FrameHistory(STAGE), RunStrip()
+    history, strip = FrameHistory(RUN.stage), RunStrip()
     # In parts: what was drawn before is not drawn twice.
-    for part in (FRAMES[:10], FRAMES[10:]):
+    for part in (frames()[:10], frames()[10:]):
         history.add(part)
-        html = strip.draw(STAGE, View(theme=DARK, step=12), history)
-    lossy = [frame for frame in FRAMES if any(cycle.missed for cycle in frame.cycles)]
+        html = strip.draw(RUN.stage, View(theme=DARK, step=12), history)
+    lossy = [frame for frame in frames() if any(cycle.missed for cycle in frame.cycles)]
     assert 0 < len(lossy) == html.count('class="heat"')
     titles = re.findall(r"<title>(.*?)</title>", html, re.DOTALL)
     assert len(titles) == 30
-    for frame, title in zip(FRAMES, titles, strict=True):
+    for frame, title in zip(frames(), titles, strict=True):
         senders = sum(len(cycle.missed) for cycle in frame.cycles)
         assert f"RMSE {frame.scores.rmse:.3g} m\n{senders} senders missed" in title
         assert ("was killed" in title) == (frame.step == 9)

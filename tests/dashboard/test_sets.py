@@ -17,8 +17,7 @@ from concord.dashboard.theme import DARK
 from concord.nodes.messages import Estimate, decode
 from tests.dashboard.runs import frames_of, run_of
 
-STAGE, MESSAGES = run_of("liu2021-network", steps=30, rule="zonotope")
-FRAMES = frames_of(STAGE, MESSAGES)
+RUN = run_of("liu2021-network", steps=30, rule="zonotope")
 generator_sets = st.integers(2, 7).flatmap(
     lambda count: arrays(
         np.float64, (2, count), elements=st.floats(-3, 3).map(lambda x: round(x, 2))
@@ -49,9 +48,9 @@ def polygons(html: str) -> list[np.ndarray]:
 
 
 def test_every_zonotope_is_drawn_and_holds_the_truth():
-    for frame in FRAMES:
-        drawn = polygons(zoom(STAGE, DARK, frame, (0, 1), None))
-        assert len(drawn) == STAGE.nodes
+    for frame in RUN.frames:
+        drawn = polygons(zoom(RUN.stage, DARK, frame, (0, 1), None))
+        assert len(drawn) == RUN.stage.nodes
         for corners in drawn:
             # The truth is in the middle of the picture; pixels are rounded to a tenth.
             larger = corners.mean(0) + (corners - corners.mean(0)) * 1.02
@@ -59,21 +58,21 @@ def test_every_zonotope_is_drawn_and_holds_the_truth():
 
 
 def test_what_is_fused_of_sets_is_called_what_it_is_and_holds_the_truth():
-    other, messages = run_of("oscillator", nodes=4, steps=3)
+    other = run_of("oscillator", nodes=4, steps=3)
     names = {
-        stage.fused_name: zoom(stage, DARK, frame, (0, 1), None)
-        for stage, frame in ((STAGE, FRAMES[-1]), (other, frames_of(other, messages)[-1]))
+        run.stage.fused_name: zoom(run.stage, DARK, run.frames[-1], (0, 1), None)
+        for run in (RUN, other)
     }
     assert list(names) == ["fused ellipsoids", "fused"]
     for name, picture in names.items():
         assert f"{name}<" in picture
-    for frame in FRAMES:
+    for frame in RUN.frames:
         off = frame.fused.mean - frame.truth
         assert off @ np.linalg.solve(frame.fused.cov, off) <= 1
 
 
 def test_the_zonotope_is_smaller_than_the_ellipsoid_that_is_told_of_it():
-    frame = FRAMES[-1]
+    frame = RUN.frames[-1]
     for node, generators in enumerate(frame.zonotopes):
         assert generators is not None
         corners = zonotope_corners(np.zeros(2), generators[[0, 1]])
@@ -82,8 +81,8 @@ def test_the_zonotope_is_smaller_than_the_ellipsoid_that_is_told_of_it():
 
 
 def test_other_rules_tell_of_no_zonotope():
-    _, messages = run_of("liu2021-network", steps=3, rule="ellipsoid")
-    told = [data for topic, data in messages if topic.startswith("estimate/")]
+    run = run_of("liu2021-network", steps=3, rule="ellipsoid")
+    told = [data for topic, data in run.messages if topic.startswith("estimate/")]
     assert told
     assert all(b"generators" not in data for data in told)
 
@@ -96,7 +95,7 @@ def test_what_is_no_zonotope_of_these_states_is_not_drawn():
         generators = [[1.0], [2.0, 3.0]]
         return topic, msgspec.json.encode(msgspec.structs.replace(said, generators=generators))
 
-    frames = frames_of(STAGE, [spoilt(*message) for message in MESSAGES])
+    frames = frames_of(RUN.stage, [spoilt(*message) for message in RUN.messages])
     assert frames
     for frame in frames:
         assert frame.zonotopes[2] is None

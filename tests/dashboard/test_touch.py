@@ -24,9 +24,9 @@ CHANGES = (
 
 
 def script_after(changes: tuple[str, ...]) -> tuple[list[str], list[tuple[str, bytes]]]:
-    stage, messages = run_of("target-tracking", nodes=8, steps=18, graph="ring", changes=changes)
-    frames = frames_of(stage, messages)
-    return script_of(event for frame in frames for event in frame.events), messages
+    run = run_of("target-tracking", nodes=8, steps=18, graph="ring", changes=changes)
+    frames = run.frames
+    return script_of(event for frame in frames for event in frame.events), run.messages
 
 
 def test_the_script_of_a_run_gives_the_same_run():
@@ -48,18 +48,15 @@ def test_a_partition_is_told_link_by_link():
     assert told[0] and told[0] == told[1]
 
 
-STAGE, MESSAGES = run_of(
-    "target-tracking", nodes=8, steps=6, graph="ring", changes=("2 kill 5", "2 cut 1 2")
-)
-FRAME = frames_of(STAGE, MESSAGES)[-1]
+RUN = run_of("target-tracking", nodes=8, steps=6, graph="ring", changes=("2 kill 5", "2 cut 1 2"))
 SEEN = np.array([0.0, 0.0, 30.0])
 
 
 @given(st.integers(0, 7), st.floats(0, 2 * np.pi), st.floats(0, 1.2))
 def test_a_ray_that_passes_close_to_a_node_meets_it(node: int, turn: float, off: float):
-    at, radius = STAGE.in_scene(STAGE.positions(0), 0.15), 0.4
+    at, radius = RUN.stage.in_scene(RUN.stage.positions(0), 0.15), 0.4
     aside = np.array([np.cos(turn), np.sin(turn), 0.0]) * off * radius
-    picked = pick(SEEN, at[node] + aside - SEEN, at, STAGE.edges, radius)
+    picked = pick(SEEN, at[node] + aside - SEEN, at, RUN.stage.edges, radius)
     assert picked is not None
     near = np.linalg.norm(at[picked.nodes[0]] - at[node])
     assert picked.nodes == (node,) or near < 2.8 * radius
@@ -69,12 +66,12 @@ def test_a_ray_that_passes_close_to_a_node_meets_it(node: int, turn: float, off:
 def test_a_ray_at_the_middle_of_a_link_meets_it_or_what_covers_it(link: int):
     turn = 2 * np.pi * np.arange(8) / 8
     at = 8 * np.stack([np.cos(turn), np.sin(turn), np.zeros(8)], axis=-1)
-    ends = STAGE.edges[link]
+    ends = RUN.stage.edges[link]
     middle = at[ends].mean(axis=0)
-    picked = pick(SEEN, middle - SEEN, at, STAGE.edges, 0.4)
+    picked = pick(SEEN, middle - SEEN, at, RUN.stage.edges, 0.4)
     assert picked is not None and picked.nodes == tuple(ends)
-    assert pick(SEEN, np.array([0.0, 0.0, 1.0]), at, STAGE.edges, 0.4) is None
-    assert pick(SEEN, np.array([50.0, 0.0, -30.0]), at, STAGE.edges, 0.4) is None
+    assert pick(SEEN, np.array([0.0, 0.0, 1.0]), at, RUN.stage.edges, 0.4) is None
+    assert pick(SEEN, np.array([50.0, 0.0, -30.0]), at, RUN.stage.edges, 0.4) is None
 
 
 @pytest.mark.parametrize(
@@ -82,7 +79,7 @@ def test_a_ray_at_the_middle_of_a_link_meets_it_or_what_covers_it(link: int):
     [((3,), "kill"), ((5,), "restart"), ((1, 2), "heal"), ((2, 3), "cut")],
 )
 def test_each_action_is_a_command_about_what_was_touched(nodes: tuple[int, ...], labels: str):
-    offered = actions(FRAME, nodes)
+    offered = actions(RUN.frames[-1], nodes)
     assert labels in offered
     for words in offered.values():
         command = in_words(words.split())
@@ -90,17 +87,15 @@ def test_each_action_is_a_command_about_what_was_touched(nodes: tuple[int, ...],
 
 
 def test_a_drawn_link_cuts_heals_or_is_a_new_one():
-    assert drawn_link(FRAME, (2, 1)) == "heal 2 1"
-    assert drawn_link(FRAME, (2, 3)) == "cut 2 3"
-    new = drawn_link(FRAME, (4, 0))
+    assert drawn_link(RUN.frames[-1], (2, 1)) == "heal 2 1"
+    assert drawn_link(RUN.frames[-1], (2, 3)) == "cut 2 3"
+    new = drawn_link(RUN.frames[-1], (4, 0))
     command = msgspec.to_builtins(in_words(new.split()))
-    edges = {*map(tuple, FRAME.stage.edges.tolist())}
+    edges = {*map(tuple, RUN.frames[-1].stage.edges.tolist())}
     # The ghost of what waits is the new link alone.
     assert places_of(command, edges) == [(0, 4)]
-    stage, messages = run_of(
-        "target-tracking", nodes=8, steps=6, graph="ring", changes=(f"3 {new}",)
-    )
-    before, after = frames_of(stage, messages)[2:4]
+    run = run_of("target-tracking", nodes=8, steps=6, graph="ring", changes=(f"3 {new}",))
+    before, after = run.frames[2:4]
     assert {*map(tuple, before.stage.edges.tolist())} == edges
     assert {*map(tuple, after.stage.edges.tolist())} == {*edges, (0, 4)}
     assert drawn_link(after, (4, 0)) == "cut 4 0"
@@ -112,20 +107,20 @@ def test_a_drawn_link_cuts_heals_or_is_a_new_one():
 
 
 def test_a_link_is_drawn_beside_those_that_wait():
-    waiting = [msgspec.to_builtins(in_words(drawn_link(FRAME, (4, 0)).split()))]
-    both = msgspec.to_builtins(in_words(drawn_link(FRAME, (6, 2), waiting).split()))
-    edges = {*map(tuple, FRAME.stage.edges.tolist())}
+    waiting = [msgspec.to_builtins(in_words(drawn_link(RUN.frames[-1], (4, 0)).split()))]
+    both = msgspec.to_builtins(in_words(drawn_link(RUN.frames[-1], (6, 2), waiting).split()))
+    edges = {*map(tuple, RUN.frames[-1].stage.edges.tolist())}
     assert places_of(both, edges) == [(0, 4), (2, 6)]
 
 
 def test_a_moved_node_stands_elsewhere_and_the_page_follows_it():
-    place = FRAME.stage.in_scene(np.array([480.0, 310.0]), 0.15)
-    words = moved_node(FRAME, 3, place)
+    place = RUN.frames[-1].stage.in_scene(np.array([480.0, 310.0]), 0.15)
+    words = moved_node(RUN.frames[-1], 3, place)
     assert words == "set placement=3@480.0/310.0"
-    stage, messages = run_of(
+    run = run_of(
         "target-tracking", nodes=8, steps=6, graph="ring", changes=(f"3 {words}", "4 set rounds=2")
     )
-    before, after, last = (frames_of(stage, messages)[step] for step in (2, 3, 5))
+    before, after, last = (run.frames[step] for step in (2, 3, 5))
     moves = [msgspec.to_builtins(in_words(event.words.split())) for event in after.events]
     ((node, where),) = moves_of(moves[0], before.stage)
     assert node == 3 and where.tolist() == [480, 310]
@@ -141,11 +136,9 @@ def test_a_moved_node_stands_elsewhere_and_the_page_follows_it():
 def test_the_chart_of_nis_follows_a_node_that_a_hand_has_moved():
     """No script says so: the page hears of the move from the network alone."""
     changes = ("3 set placement=3@480/310",)
-    stage, messages = run_of("target-tracking", nodes=8, steps=8, graph="ring", changes=changes)
-    unscripted, _ = run_of("target-tracking", nodes=8, steps=8, graph="ring")
-    for told, scripted in zip(
-        frames_of(unscripted, messages), frames_of(stage, messages), strict=True
-    ):
+    run = run_of("target-tracking", nodes=8, steps=8, graph="ring", changes=changes)
+    unscripted = run_of("target-tracking", nodes=8, steps=8, graph="ring").stage
+    for told, scripted in zip(frames_of(unscripted, run.messages), run.frames, strict=True):
         assert told.scores.nis is not None and scripted.scores.nis is not None
         assert np.array_equal(told.scores.nis.squares, scripted.scores.nis.squares)
         assert told.scores.central == scripted.scores.central < 60

@@ -11,17 +11,16 @@ from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.verdict import STEPS, verdict
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
-from tests.dashboard.runs import frames_of, run_of
+from tests.dashboard.runs import run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=45)
-FRAMES = frames_of(STAGE, MESSAGES)[-STEPS:]
-STATES = len(STAGE.score.nees_states)
+RUN = run_of("target-tracking", nodes=8, steps=45)
+STATES = len(RUN.stage.score.nees_states)
 UNKNOWN = nothing_expected(np.zeros(STEPS))
 
 
 def scored(**scores: float) -> list[StepFrame]:
     """Return the newest frames with other scores."""
-    return [frame._replace(scores=frame.scores._replace(**scores)) for frame in FRAMES]
+    return [frame._replace(scores=frame.scores._replace(**scores)) for frame in RUN.frames[-STEPS:]]
 
 
 @pytest.mark.parametrize(
@@ -56,7 +55,7 @@ def test_a_band_decides_where_there_is_one(level: float, word: str, usual: str):
 
 
 def test_estimates_that_differ_by_more_than_believed_disagree():
-    believed = np.sqrt(np.mean([np.mean(frame.scores.width**2) for frame in FRAMES]))
+    believed = np.sqrt(np.mean([np.mean(frame.scores.width**2) for frame in RUN.frames[-STEPS:]]))
     assert verdict(scored(spread=0.9 * believed), UNKNOWN).word != "DISAGREEING"
     judged = verdict(scored(spread=4.0 * believed), UNKNOWN)
     assert (judged.word, judged.is_good) == ("DISAGREEING", False)
@@ -64,8 +63,8 @@ def test_estimates_that_differ_by_more_than_believed_disagree():
 
 
 def test_a_run_is_judged_once_its_steps_count_and_a_lie_is_found_out():
-    stage, messages = run_of("target-tracking", nodes=8, steps=70, changes=("40 lie 3 5 4",))
-    frames = frames_of(stage, messages)
+    run = run_of("target-tracking", nodes=8, steps=70, changes=("40 lie 3 5 4",))
+    frames = run.frames
 
     def word(step: int) -> str:
         judged = frames[max(0, step + 1 - STEPS) : step + 1]
@@ -77,15 +76,15 @@ def test_a_run_is_judged_once_its_steps_count_and_a_lie_is_found_out():
 
 
 def test_sets_that_do_not_hold_the_truth_are_overconfident():
-    stage, messages = run_of("liu2021-network", steps=40, rule="ellipsoid")
-    frame = frames_of(stage, messages)[-1]
+    run = run_of("liu2021-network", steps=40, rule="ellipsoid")
+    frame = run.frames[-1]
     wide = frame._replace(scores=frame.scores._replace(width=frame.scores.error + 1))
     assert verdict([wide], UNKNOWN).word == "CONSISTENT"
     narrow = frame._replace(scores=frame.scores._replace(width=frame.scores.error / 2))
     judged = verdict([narrow], UNKNOWN)
     assert (judged.word, judged.reason) == (
         "OVERCONFIDENT",
-        f"{stage.nodes} sets do not hold the truth",
+        f"{run.stage.nodes} sets do not hold the truth",
     )
 
 
@@ -95,7 +94,7 @@ def test_an_unknown_truth_gives_no_verdict():
 
 
 def test_the_help_names_every_verdict_every_heading_and_every_mark():
-    html = help_panel(View(theme=DARK), FRAMES[-1])
+    html = help_panel(View(theme=DARK), RUN.frames[-1])
     for word in ("CONSISTENT", "CAUTIOUS", "OVERCONFIDENT", "DISAGREEING", *HEADINGS, "NEES"):
         assert f"<b>{word}</b>" in html
     for word in ("truth", "blind", "stale", "rejected", "down", "sends", "cut"):

@@ -12,7 +12,7 @@ from concord.runtime.processes.recorder import subscribers
 from concord.runtime.whole_steps import Handover, WholeSteps
 from tests.dashboard.runs import run_of
 
-STAGE, MESSAGES = run_of("target-tracking", nodes=4, steps=12)
+RUN = run_of("target-tracking", nodes=4, steps=12)
 
 
 class Offered:
@@ -34,7 +34,7 @@ class Offered:
 
 def _offered() -> tuple[Offered, Any]:
     offered: Any = Offered()
-    steps = WholeSteps(4, STAGE.rounds, SHARE_FRAMES)
+    steps = WholeSteps(4, RUN.stage.rounds, SHARE_FRAMES)
     return offered, subscribers.Subscribers(offered, steps, lambda: None)
 
 
@@ -43,7 +43,7 @@ def test_the_newest_whole_step_and_all_readings_so_far_are_handed_over():
     assert offered.handed() is None
     readings: list[tuple[str, bytes]] = []
     newest: list[int] = []
-    for message in MESSAGES:
+    for message in RUN.messages:
         recorded.tell([message])
         readings += [message] if message[0].startswith("measured/") else []
         handed = offered.handed()
@@ -60,10 +60,10 @@ def test_the_newest_whole_step_and_all_readings_so_far_are_handed_over():
 
 
 def test_readings_that_would_fill_the_memory_are_not_kept(monkeypatch: pytest.MonkeyPatch):
-    of_a_step = sum(len(data) for topic, data in MESSAGES if topic.startswith("measured/")) / 12
+    of_a_step = sum(len(data) for topic, data in RUN.messages if topic.startswith("measured/")) / 12
     monkeypatch.setattr(subscribers, "_MOST_READING_BYTES", 5 * of_a_step)
     offered, recorded = _offered()
-    recorded.tell(MESSAGES)
+    recorded.tell(RUN.messages)
     handed = offered.handed()
     assert handed is not None
     assert handed.step.number == 11
