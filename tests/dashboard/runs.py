@@ -28,12 +28,12 @@ class RunInMemory:
 
     @cached_property
     def stage(self) -> Stage:
-        """What all its frames share."""
+        """The stage that all its frames share."""
         return set_stage(self._setup)
 
     @cached_property
     def messages(self) -> Messages:
-        """All that it told."""
+        """The messages of its nodes and its environment, in order."""
         return in_memory(self._setup)
 
     @cached_property
