@@ -8,9 +8,16 @@ import pytest
 import xarray
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.smoothing import SMOOTHED, smoothed_of, smoothing_figures
+from concord.experiments.results.smoothing import (
+    SMOOTHED,
+    Smoothed,
+    smoothed_of,
+    smoothing_figures,
+)
 from concord.experiments.results.trace import read_trace
+from concord.filters.gaussian import Gaussian
 from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
@@ -63,6 +70,26 @@ def test_without_truth_the_distance_of_the_nodes_is_told():
     assert np.isnan(figures.rmse) and np.isnan(figures.anees)
     known = smoothing_figures(setup, trace, found, 5)
     assert figures.distance == known.distance and min(figures.distance) > 0
+
+
+def test_steps_in_which_the_filter_leaves_the_model_do_not_count_in_the_consistency():
+    """A car that stands has no side slip that a single-track model could tell."""
+    setup = prepare(scenario("vehicle-network", steps=30))
+    trace = read_trace(setup, in_memory(setup))
+    found = smoothed_of(setup, trace)
+    standing = found.filtered.mean.copy()
+    standing[20] = 0.0
+    wrong = found.smoothed.mean.copy()
+    wrong[20] += 1.0
+    without = np.delete(np.arange(10, 30), 10)
+    errors = (found.smoothed.mean - trace.truth)[without]
+    nees = scored_nees(setup.scenario, errors, found.smoothed.cov[without])
+    states = len(definition_of(setup.scenario).score.nees_states)
+    away = Smoothed(Gaussian(standing, found.filtered.cov), Gaussian(wrong, found.smoothed.cov))
+    figures = smoothing_figures(setup, trace, away, 10)
+    assert figures.anees == pytest.approx(nees.mean() / states)
+    counted = smoothing_figures(setup, trace, Smoothed(found.filtered, away.smoothed), 10)
+    assert counted.anees > 10 * figures.anees
 
 
 @pytest.mark.parametrize(
