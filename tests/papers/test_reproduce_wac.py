@@ -116,18 +116,6 @@ def test_rules_of_fresh_shares_weigh_missing_shares_as_asked(unheard: str, weigh
         assert content.own.known == pytest.approx(known, rel=1e-12)
 
 
-def test_the_interval_covers_as_often_as_it_says():
-    # Squared errors of 40 runs with 20 degrees of freedom each, and half of that as reference.
-    generator = np.random.default_rng(4)
-    covered = 0
-    for _ in range(150):
-        squared, reference = generator.chisquare(20, (2, 40)) / [[20], [40]]
-        low, high = bench.bootstrap(squared, reference)
-        covered += low <= np.sqrt(2) <= high
-    # 95 % of 150 is 142.5; 4 binomial deviations are 10.7, and the bootstrap of 40 is a bit narrow.
-    assert covered >= 128
-
-
 def test_a_small_study_has_the_order_of_the_large_one():
     few = bench.bench_of(occupancy.track(seed=2, runs=4))
     limited = few.study.scenario.with_(schedule="hybrid", occupancy=0.25, arbiter="wtod")
@@ -137,6 +125,8 @@ def test_a_small_study_has_the_order_of_the_large_one():
     )
     assert sharp.rmse < held.rmse < raw.rmse
     assert raw.anees > 10 > 1 > sharp.anees_worst > 0.3
+    # Four runs tell that a rule is overconfident, where it is.
+    assert raw.anees_worst > raw.anees_worst_low > 1 > sharp.anees_worst_low
     assert raw.low < raw.rmse < raw.high
 
 
@@ -358,7 +348,7 @@ def test_root_loci_have_twelve_panels_with_branches(tmp_path: Path, monkeypatch)
 
 def test_printed_values_inside_and_outside_are_told_apart():
     variant = occupancy.Variant("ci", "renorm")
-    cell = bench.VariantCell(2.5, 2.4, 2.6, 1.0, 0.6, 0.7)
+    cell = bench.VariantCell(2.5, 2.4, 2.6, 1.0, 0.6, 0.7, 0.6)
     table = {(variant, 0.5): cell, (variant, 0.25): cell}
     printed = {"CI renorm": ("-", "2.42/1/.5", "2.78/1/.5", "-")}
     assert reproduce_wac_bus.coverage(table, printed) == (1, 2, ["CI renorm at 25 %"])
