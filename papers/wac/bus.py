@@ -101,7 +101,7 @@ def checks_of(measured: Occupancy) -> list[Check]:
             checks.append(above(f"{study}, {variant.title}: least ANEES below full", least, 1))
         for variant in CONSISTENT:
             low = max(table[variant, occupancy].anees_worst_low for occupancy in LIMITED)
-            where = f"{study}, {variant.title}: ANEES of the worst node, low end of 95 %"
+            where = f"{study}, {variant.title}: ANEES of the worst node, low end of its interval"
             checks.append(at_most(where, low, 1))
         least = min(table[Variant("icf", "drop"), occupancy].anees for occupancy in LIMITED)
         checks.append(above(f"{study}, ICF drop: least ANEES below full", least, 1))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-# WebGL without a graphics card; all else is drawn by the processor, which costs a third less there.
+# WebGL without a graphics card. The page itself is composited without WebGL, in less time.
 FLAGS = (
     "--no-sandbox",
     "--disable-gpu-compositing",

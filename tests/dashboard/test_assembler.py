@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterable
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -12,22 +13,27 @@ from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.network import NetworkStatus
 from concord.experiments.results.summary import summarise
-from concord.experiments.results.trace import read_trace
+from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.messages import Estimate, decode
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
 RUN = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
-TRACE = read_trace(RUN.stage.setup, RUN.messages)
+
+
+@cache
+def trace() -> Trace:
+    """The arrays of the run."""
+    return read_trace(RUN.stage.setup, RUN.messages)
 
 
 def step_of(topic: str, data: bytes) -> int | None:
     return None if topic.startswith("share/") else getattr(decode(topic, data), "step", None)
 
 
-def without(node: int, since: int, messages=RUN.messages):
+def without(node: int, since: int):
     """The same run in which a node falls silent."""
-    for topic, data in messages:
+    for topic, data in RUN.messages:
         hers = topic in (f"estimate/{node}", f"measured/{node}")
         if not (hers and (step_of(topic, data) or 0) >= since):
             yield topic, data
@@ -36,9 +42,9 @@ def without(node: int, since: int, messages=RUN.messages):
 def test_every_step_is_a_frame_with_the_beliefs_of_the_trace():
     assert [frame.step for frame in RUN.frames] == list(range(24))
     for frame in RUN.frames:
-        np.testing.assert_array_equal(frame.belief.mean, TRACE.mean[frame.step])
-        np.testing.assert_array_equal(frame.belief.cov, TRACE.cov[frame.step])
-        np.testing.assert_array_equal(frame.truth, TRACE.truth[frame.step])
+        np.testing.assert_array_equal(frame.belief.mean, trace().mean[frame.step])
+        np.testing.assert_array_equal(frame.belief.cov, trace().cov[frame.step])
+        np.testing.assert_array_equal(frame.truth, trace().truth[frame.step])
 
 
 def test_who_published_in_which_cycle_is_that_of_the_trace():
@@ -46,12 +52,12 @@ def test_who_published_in_which_cycle_is_that_of_the_trace():
         for number, cycle in enumerate(frame.cycles):
             assert cycle.cycle == 3 * frame.step + number
             senders = {one.node for one in cycle.frames}
-            assert senders == set(np.flatnonzero(TRACE.published[frame.step, number]))
-            assert cycle.payload_bytes == TRACE.payload_bytes[frame.step, number].sum()
+            assert senders == set(np.flatnonzero(trace().published[frame.step, number]))
+            assert cycle.payload_bytes == trace().payload_bytes[frame.step, number].sum()
 
 
 def test_scores_are_the_figures_of_the_run():
-    figures = summarise(RUN.stage.setup, TRACE)
+    figures = summarise(RUN.stage.setup, trace())
     scored = RUN.frames[figures.first_step :]
     rmse = np.sqrt(np.mean([frame.scores.error**2 for frame in scored]))
     central = np.sqrt(np.mean([frame.scores.central**2 for frame in scored]))
@@ -101,7 +107,7 @@ def test_a_node_that_dies_unannounced_is_down_and_its_last_belief_stays():
     down = [frame for frame in frames if frame.step >= 9]
     assert down
     assert not any(frame.alive[2] for frame in down)
-    np.testing.assert_array_equal(down[-1].belief.mean[2], TRACE.mean[8, 2])
+    np.testing.assert_array_equal(down[-1].belief.mean[2], trace().mean[8, 2])
     told = [e for frame in frames for e in frame.events if e.node == 2]
     assert [(e.step, e.trouble) for e in told] == [(9, True)]
 
@@ -147,9 +153,9 @@ def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
     assert lost == {(10, 0)}
 
 
-def steps_of(messages=RUN.messages) -> list[WholeStep]:
+def steps_of() -> list[WholeStep]:
     together = WholeSteps(8, 3, SHARE_FRAMES)
-    return [step for message in messages for step in together.take(*message)]
+    return [step for message in RUN.messages for step in together.take(*message)]
 
 
 def shown(assembler: Assembler, steps: Iterable[WholeStep]) -> list[StepFrame]:

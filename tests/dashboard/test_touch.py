@@ -25,8 +25,7 @@ CHANGES = (
 
 def script_after(changes: tuple[str, ...]) -> tuple[list[str], list[tuple[str, bytes]]]:
     run = run_of("target-tracking", nodes=8, steps=18, graph="ring", changes=changes)
-    frames = run.frames
-    return script_of(event for frame in frames for event in frame.events), run.messages
+    return script_of(event for frame in run.frames for event in frame.events), run.messages
 
 
 def test_the_script_of_a_run_gives_the_same_run():
