@@ -10,7 +10,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -22,17 +21,15 @@ import numpy as np
 import tyro
 
 from benchmarks.measure import say
-from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.commands import Restart, Speed
 from concord.nodes.tempo import Tempo
 from concord.runtime.network.network_file import read_network
-from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
+from tests.endurance.accounts import account, spread
 from tests.endurance.running import PROC, Running
-from tests.experiments.support import broken_promises
 
 NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6
@@ -100,14 +97,6 @@ class Network:
         taken = [endpoint for endpoint in connect if listens(endpoint)]
         return f"processes left {left}, sockets that are still there {taken}"
 
-    def recorded(self) -> list[tuple[str, bytes]]:
-        """Return the recorded messages."""
-        return self._running.recorded()
-
-    def trace(self) -> Trace:
-        """Return the recording as arrays."""
-        return read_trace(self.setup, self.recorded())
-
 
 def lives(pid: int) -> bool:
     """Whether a process is there."""
@@ -153,14 +142,13 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     living = sorted(network.pids)
     stalls = np.diff(network.heard_s) - 1 / RATE
     left = network.end()
-    trace = network.trace()
     graph = network.setup.scenario.network.graph
     say(f"{count} kills and restarts, {NODES} processes, {graph}, lockstep at {RATE:g} steps/s")
     say(f"  told to be gone after {spread(gone_s)} s")
     say(f"  longest stall of the others {max(stalls):.3f} s")
     say(f"  rejoined {spread(back_s)} s after the command; processes at the end {len(living)}")
     say(f"  files open before {before}, after {after}; {left}")
-    account(network, trace)
+    account(network.setup, network.folder)
 
 
 def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) -> None:
@@ -180,11 +168,10 @@ def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) ->
         time.sleep(float(rng.uniform(0, 0.2)))
     stalls = np.diff(network.heard_s)
     left = network.end()
-    trace = network.trace()
     say(f"{count} hangs of {SHORT_S:g} and {LONG_S:g} s, {NODES} processes, real time")
     say(f"  longest time between two steps {max(stalls):.3f} s; back after {spread(back_s)} s")
     say(f"  {left}")
-    account(network, trace)
+    account(network.setup, network.folder)
 
 
 def die_while_booting(network: Network, count: int, rng: np.random.Generator) -> None:
@@ -211,68 +198,9 @@ def die_while_booting(network: Network, count: int, rng: np.random.Generator) ->
         back_s.append(network.await_told("joined", node, asked_s))
     living = sorted(network.pids)
     left = network.end()
-    trace = network.trace()
     say(f"{count} restarts, {killed} killed while booting, {NODES} processes")
     say(f"  back after {spread(back_s)} s; processes at the end {len(living)}; {left}")
-    account(network, trace)
-
-
-def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
-    """Median, 99th percentile and largest."""
-    return "/".join(f"{q:.{digits}f}" for q in np.quantile(values, [0.5, 0.99, 1.0]))
-
-
-def account(network: Network, trace: Trace) -> None:
-    """Where the estimates and shares are that were not recorded, whether all agree, and what
-    `concord audit` finds."""
-    finish_recording(network.folder / "run.mcap")
-    broken = broken_promises(network.setup, network.folder)
-    say("\n".join([f"  audit: {len(broken)} promises broken", *broken]))
-    changes = Counter(
-        msgspec.json.decode(data)["change"]["what"]
-        for topic, data in network.recorded()
-        if topic == "event"
-    )
-    out = np.isnan(trace.mean[:, :, 0])
-    taking_part = np.array(
-        [[trace.history.is_in(i, k) for i in range(NODES)] for k in range(trace.steps)]
-    )
-    silent = ~trace.published[: trace.steps].all(axis=1)
-    say(
-        f"  {trace.steps} steps; told: {dict(changes)}; estimates missing {int(out.sum())}, while "
-        f"out {int((~taking_part).sum())}, not accounted for {int((out & taking_part).sum())}"
-    )
-    say(
-        f"  (node, step) without all its shares {int(silent.sum())}, not accounted for by being "
-        f"out {int((silent & taking_part).sum())}"
-    )
-    apart = np.sqrt(np.nanvar(trace.mean, axis=1).mean(axis=-1))
-    say(f"  disagreement: median {np.median(apart):.4g}, last step {apart[-1]:.4g}")
-    cycles = cycles_to_agree(trace.mean, network.setup.scenario.rounds)
-    agreed = cycles[np.isfinite(cycles)]
-    say(
-        f"  as near to the others as usual (95 % of the time) {spread(agreed, 0)} cycles after it "
-        f"was let in; out again before that {len(cycles) - len(agreed)} times of {len(cycles)}"
-    )
-
-
-def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
-    """Return for each return of a node the number of cycles until it agrees with the others.
-
-    A node agrees when its distance from the average of all nodes is at most the distance that
-    nodes keep in 95 of 100 steps. The number is infinite where the node was out again before.
-    The means are (steps, N, n).
-    """
-    away = np.linalg.norm(mean - np.nanmean(mean, axis=1, keepdims=True), axis=-1)
-    usual = np.nanquantile(away, 0.95)
-    is_out = np.isnan(away)
-    cycles = []
-    for step, node in np.argwhere(is_out[:-1] & ~is_out[1:]):
-        life = away[step + 1 :, node]
-        life = life[: np.argmax(np.isnan(life))] if np.isnan(life).any() else life
-        near = life <= usual
-        cycles.append((1 + np.argmax(near)) * rounds if near.any() else np.inf)
-    return np.array(cycles)
+    account(network.setup, network.folder)
 
 
 def main(options: Options) -> None:
