@@ -29,8 +29,9 @@ LONGEST = (
     "endurance/test_supervision", "experiments/test_up", "test_batched_agreement",
     "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",
     "scenarios/test_logged_positions", "experiments/test_keys_command", "test_sweep_pages",
-    "dashboard/test_browser_launch", "dashboard/test_monkey", "experiments/test_partition",
-    "runtime/test_recording", "experiments/identification/test_output_error", "test_gallery",
+    "dashboard/test_browser_live", "dashboard/test_browser_launch", "dashboard/test_monkey",
+    "experiments/test_partition", "runtime/test_recording",
+    "experiments/identification/test_output_error", "test_gallery",
 )  # fmt: skip
 """Files that take a worker most of a minute. A file that starts last lets the others wait."""
 

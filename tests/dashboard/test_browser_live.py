@@ -117,11 +117,11 @@ def test_a_page_that_comes_to_a_paused_network_shows_where_it_stands(
         # The filter that hears everything has taken the readings of all steps before.
         assert float(later.text("central").split()[0]) > 0
         told = replayed(later.dashboard.stage, network / "run.mcap")
-        heard = next(one for one in told if one.step == int(later.text("step")))
+        step = int(later.text("step"))
+        heard = next(one for one in told if one.step == step)
         assert newest(later).scores.central == heard.scores.central
         later.press("Step")
-        step = int(page.text("step")) + 1
-        later.until(lambda: later.text("step") == str(step))
+        later.until(lambda: later.text("step") == str(step + 1))
         assert later.text("run-state") == "PAUSED"
     finally:
         later.close()
