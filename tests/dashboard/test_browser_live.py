@@ -24,7 +24,7 @@ from tests.processes import CONCORD, family, holds_within, lives
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
 NETWORK = ["--scenario", "target-tracking", "--nodes", "8", "--steps", "20000", "--seed", "3"]
-STEPS_PER_S = 20.0
+STEPS_PER_S = 8.0
 
 
 @pytest.fixture(scope="module")
