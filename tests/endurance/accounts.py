@@ -18,7 +18,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from tests.experiments.support import broken_promises, trace_of
 
-# A node that stayed took part in so many steps before; runs without deaths to compare with.
+# A node that stayed has taken part in so many steps in a row. Runs without deaths, and their steps.
 STAYED, CALM_RUNS, CALM_STEPS = 10, 40, 500
 
 
@@ -28,8 +28,8 @@ def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
 
 
 def account(setup: Setup, folder: Path) -> None:
-    """Where the estimates and shares are that were not recorded, whether all agree and claim what
-    they know, and what `concord audit` finds."""
+    """Print what `concord audit` finds, where the estimates and shares are that were not recorded,
+    and whether the nodes agree and claim what they know."""
     recording = folder / "run.mcap"
     finish_recording(recording)
     broken = broken_promises(setup, folder)
