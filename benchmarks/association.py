@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
-from concord.filters.association.associate import joint_probabilities
+from concord.features.several_targets.association.associate import joint_probabilities
+from concord.features.several_targets.tracking.tracker import Scan, TrackerSettings, track
+from concord.features.several_targets.tracking.tracks import Tracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import cubature
-from concord.filters.tracking.tracker import Scan, TrackerSettings, track
-from concord.filters.tracking.tracks import Tracks
 from concord.plants.motion import ConstantVelocity
 
 TARGETS, CLUTTER, SCANS, TURNS, REPEATS = 10, 5, 3, 5, 20

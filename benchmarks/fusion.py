@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.network import BatchedRule
 from concord.runtime.batched.build import build_network
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 NODES, RUNS, TURNS, LOOP_RUNS, MANY, REPEATS = 20, 500, 15, 5, 5, 5

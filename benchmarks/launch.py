@@ -6,10 +6,10 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measure import BenchmarkFigures, figure
-from concord.experiments.scenario_options import scenario_of
 from concord.runtime.processes.job import Happened
 from concord.runtime.processes.launcher import run_processes
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 # As many steps as let every process be weighed before the first one leaves.

@@ -20,12 +20,12 @@ import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import BenchmarkFigures, figure, ratio, say
-from concord.experiments.scenario_options import scenario_of
 from concord.nodes.messages import decode, from_wire
 from concord.runtime.drivers import in_memory, over_processes
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.scenarios.build import OPEN_LOOP_LEAD
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 NODES, GRAPH, STEPS, SHORT_STEPS, REPETITIONS = 16, "4-regular", 300, 50, 5

@@ -14,8 +14,6 @@ import numpy as np
 
 from benchmarks.fusion import fuse
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, peak_mb, say
-from concord.experiments.monte_carlo.simulate import READINGS, simulate
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
@@ -23,7 +21,9 @@ from concord.plants.targets import Target
 from concord.runtime.batched.build import build_network
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import READINGS, simulate
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigure, BenchmarkFigures, figure, in_turns, peak_mb, say
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 
 LANES, STEPS, TURNS = 10_000, 8, 5
 SIZES, DEGREE = (10, 100, 1_000, 10_000), 4

@@ -23,13 +23,15 @@ from functools import partial
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio
-from concord.filters.sets.bus_readings import MeasuredPlant, augmented, cycle_evidence
-from concord.filters.sets.cycle import CycleResult, turned
-from concord.filters.sets.ellipsoid import Ellipsoid, image, shape_matrix
-from concord.filters.sets.lifted_cycle import AugmentedCycle, DeliveredValues
-from concord.filters.sets.multipliers import Problem
-from concord.filters.sets.recursive_estimator import problem
-from concord.filters.sets.tight_estimator import conditioned_step
+from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
+from concord.features.sets.bounded import BoundedSystem
+from concord.features.sets.filters.bus_readings import MeasuredPlant, augmented, cycle_evidence
+from concord.features.sets.filters.cycle import CycleResult, turned
+from concord.features.sets.filters.ellipsoid import Ellipsoid, image, shape_matrix
+from concord.features.sets.filters.lifted_cycle import AugmentedCycle, DeliveredValues
+from concord.features.sets.filters.multipliers import Problem
+from concord.features.sets.filters.recursive_estimator import problem
+from concord.features.sets.filters.tight_estimator import conditioned_step
 from concord.papers.liu2021.runs import (
     HELD,
     PLANT,
@@ -40,8 +42,6 @@ from concord.papers.liu2021.runs import (
     simulate,
 )
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
-from concord.plants.bounded import BoundedSystem
-from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
 
 CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 # States, outputs, those of them that are sent in turn, noises.

@@ -15,7 +15,6 @@ from concord._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from concord import filters as filters
-    from concord import flexray as flexray
     from concord import topology as topology
     from concord.experiments.python_api import agree as agree
     from concord.experiments.python_api import compare as compare
@@ -26,15 +25,16 @@ if TYPE_CHECKING:
     from concord.experiments.python_api import scenario as scenario
     from concord.experiments.python_api import simulate as simulate
     from concord.experiments.python_api import sweep as sweep
-    from concord.plants.bounded_plant import BoundedOutput as BoundedOutput
-    from concord.plants.bounded_plant import BoundedPlant as BoundedPlant
+    from concord.features.flexray_tools import api as flexray
+    from concord.features.measurement_bus.own_measured import (
+        on_a_measurement_bus as on_a_measurement_bus,
+    )
+    from concord.features.sets.bounded_plant import BoundedOutput as BoundedOutput
+    from concord.features.sets.bounded_plant import BoundedPlant as BoundedPlant
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
     from concord.plants.own_plant import from_control as from_control
     from concord.scenarios.definitions.own import own_scenario as own_scenario
-    from concord.scenarios.definitions.own_measured import (
-        on_a_measurement_bus as on_a_measurement_bus,
-    )
     from concord.scenarios.scenario import Scenario as Scenario
     from concord.scenarios.types import buses as buses
     from concord.scenarios.types import holds as holds
@@ -51,11 +51,11 @@ _HOMES = {
     **dict.fromkeys(("agree", "compare", "design", "launch", "load", "plots"), _API),
     **dict.fromkeys(("scenario", "simulate", "sweep"), _API),
     **dict.fromkeys(("OwnPlant", "OwnSensor", "from_control"), _OWN),
-    **dict.fromkeys(("BoundedPlant", "BoundedOutput"), "concord.plants.bounded_plant"),
+    **dict.fromkeys(("BoundedPlant", "BoundedOutput"), "concord.features.sets.bounded_plant"),
     **dict.fromkeys(
         ("ConstrainedReceiver", "EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"
     ),
-    "on_a_measurement_bus": "concord.scenarios.definitions.own_measured",
+    "on_a_measurement_bus": "concord.features.measurement_bus.own_measured",
     "own_scenario": "concord.scenarios.definitions.own",
     "Scenario": "concord.scenarios.scenario",
     **dict.fromkeys(("buses", "holds", "rules"), _TYPES),

@@ -13,12 +13,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from concord.experiments.results.record_spread import RecordSpread
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.record_spread import RecordSpread
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from concord import plots, sweep
-from concord.experiments.results.palette import save, use_house_style
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.palette import save, use_house_style
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.

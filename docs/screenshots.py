@@ -25,7 +25,7 @@ from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.expected import Expectation, nothing_expected
 from concord.dashboard.frames.live import LiveNetwork
 from concord.dashboard.serve import open_network, open_recording
-from concord.experiments.monte_carlo.other_runs import expected, told_by
+from concord.experiments.other_runs import expected, told_by
 from concord.nodes.commands import in_words
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import drive

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from concord.experiments.page_process import PageProcess
-from concord.experiments.results.folder import RECORDING, describe, new_folder, write_description
-from concord.experiments.results.run_results import completed, write_results
+from concord.results.folder import RECORDING, describe, new_folder, write_description
+from concord.results.run_results import completed, write_results
 from concord.runtime.drivers import over_processes
 from concord.scenarios.setup import Setup
 

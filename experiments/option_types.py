@@ -6,7 +6,7 @@
 from pathlib import Path
 from typing import Any
 
-from concord.experiments.scenario_options import OfferedOption, offered_options
+from concord.scenarios.scenario_options import OfferedOption, offered_options
 
 FILE = Path(__file__).resolve().parent.parent / "scenarios" / "types" / "options.py"
 _HEAD = '''"""Options of a scenario as keywords, generated from their declarations.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from concord.experiments import option_types
 from concord.experiments.scenario_flags import GROUPS
-from concord.experiments.scenario_options import OfferedOption, offered_options
+from concord.scenarios.scenario_options import OfferedOption, offered_options
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "options.md"
 _HEAD = """# Options of a scenario

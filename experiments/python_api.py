@@ -9,39 +9,39 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 
-from concord.experiments.agreement import DriverDifference, agreement
-from concord.experiments.compare.entries import asked_cases, check_together, entries_of, own_rules
-from concord.experiments.compare.output import write_comparison
-from concord.experiments.compare.results import assemble, comparison_figures
-from concord.experiments.compare.run import compute_missing, kept_before
-from concord.experiments.design.candidates import Cost
-from concord.experiments.design.results import Design, design_of
-from concord.experiments.design.search import SearchTask, search
-from concord.experiments.design.space import placements_of, space_of
-from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.launching import launched
-from concord.experiments.memory import check_memory
-from concord.experiments.monte_carlo.histories_file import histories_dataset
-from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
-from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
-from concord.experiments.results.folder import ARRAYS
-from concord.experiments.results.netcdf_file import open_dataset
-from concord.experiments.scenario_options import scenario_of
-from concord.experiments.sweep.cells import with_keep
-from concord.experiments.sweep.engines import engine_for, workers_here
-from concord.experiments.sweep.run import begin, finish
-from concord.experiments.sweep.specification import Specification, shown, specify
 from concord.filters.filter import Filter
+from concord.results.folder import ARRAYS
+from concord.results.records.histories_file import histories_dataset
+from concord.results.records.netcdf_file import open_dataset
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, in_words
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.options import ScenarioOptions, SweptOptions
 from concord.scenarios.types.python_words import python_words
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import kept_source
+from concord.studies.agree import DriverDifference, agreement
+from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
+from concord.studies.compare.output import write_comparison
+from concord.studies.compare.results import assemble, comparison_figures
+from concord.studies.compare.run import compute_missing, kept_before
+from concord.studies.design.candidates import Cost
+from concord.studies.design.results import Design, design_of
+from concord.studies.design.search import SearchTask, search
+from concord.studies.design.space import placements_of, space_of
+from concord.studies.design.target import BusLimits, parse_target
+from concord.studies.memory import check_memory
+from concord.studies.monte_carlo.simulate import AGES, COV, READINGS
+from concord.studies.monte_carlo.simulate import simulate as simulate_setup
+from concord.studies.sweep.cells import with_keep
+from concord.studies.sweep.engines import engine_for, workers_here
+from concord.studies.sweep.run import begin, finish
+from concord.studies.sweep.specification import Specification, shown, specify
 
 if TYPE_CHECKING:
     import xarray
@@ -254,10 +254,10 @@ def design(
 def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
     """Return the pictures of a sweep or a design by name."""
     if isinstance(result, Design):
-        from concord.experiments.design.plots import design_figures
+        from concord.studies.design.plots import design_figures
 
         return design_figures(result)
-    from concord.experiments.sweep.plots import sweep_figures
+    from concord.studies.sweep.plots import sweep_figures
 
     return sweep_figures(result)
 

@@ -48,6 +48,6 @@ def _options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 def _is_of_scenario(name: str) -> bool:
     # Only here: most commands do without the scenarios, which take time to load.
-    from concord.experiments.scenario_options import offered_options
+    from concord.scenarios.scenario_options import offered_options
 
     return name.removeprefix("--").replace("-", "_") in offered_options()

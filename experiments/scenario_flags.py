@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from concord.experiments.memory import check_memory
-from concord.experiments.scenario_options import OfferedOption, offered_options, scenario_of
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import OfferedOption, offered_options, scenario_of
+from concord.studies.memory import check_memory
 
 GROUPS = {
     "plant": "Simulated plant.",

@@ -12,10 +12,8 @@ from typing import Any
 
 import msgspec
 
-from concord.experiments.progress import progress
-from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from concord.runtime.network.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
-from concord.runtime.network.certificates import (
+from concord.features.hosts.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
+from concord.features.hosts.certificates import (
     MAX_NODES,
     Authority,
     issue,
@@ -23,6 +21,7 @@ from concord.runtime.network.certificates import (
     read_authority,
     zenoh_settings,
 )
+from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from concord.runtime.network.links import (
     ENVIRONMENT,
     LOOPBACK,
@@ -31,6 +30,7 @@ from concord.runtime.network.links import (
     free_ports,
 )
 from concord.runtime.network.zenoh_transport import LinkError, Transport, start_router
+from concord.studies.progress import progress
 
 RUN = "security-check"
 TRIES = 3

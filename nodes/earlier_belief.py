@@ -4,11 +4,11 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from concord.features.sets.set_membership import BoundedModel
+from concord.features.sets.set_shapes import Ellipsoids
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.local_filter import Model, at, predict_to_step
-from concord.nodes.rules.set_membership import BoundedModel
-from concord.nodes.rules.set_shapes import Ellipsoids
 
 
 class EarlierBelief(NamedTuple):

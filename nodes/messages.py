@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from concord.filters.tracking.tracks import REPORT_COLUMNS
+from concord.features.several_targets.tracking.tracks import REPORT_COLUMNS
 from concord.nodes.bounds import (
     MAX_MESSAGE_BYTES,
     MAX_ROUNDS,

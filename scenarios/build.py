@@ -9,6 +9,7 @@ import numpy as np
 from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
+from concord.features.control.scenario import control_node
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
@@ -19,7 +20,6 @@ from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
 from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.definitions.control import control_node
 from concord.scenarios.equipment import build_faults, spread_of
 from concord.scenarios.filters import build_filter, models_of
 from concord.scenarios.links import link_state

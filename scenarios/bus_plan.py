@@ -9,22 +9,18 @@ import msgspec
 
 from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.bus.bus import Bus
-from concord.bus.can_fd.bits import IDENTIFIER_BITS, Rates
-from concord.bus.can_fd.can_fd_bus import can_fd_bus
 from concord.bus.flexray.channels.plan import ChannelPlan, channel_plan
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.cluster_parameters import Channels
-from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
-from concord.bus.flexray.files.slot_file import read_slot_file
 from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus, written_bus
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import payload_lengths
+from concord.bus.flexray.slot_file import read_slot_file
 from concord.bus.flexray.written_slots import written_schedule
 from concord.bus.ideal import TimelessBus
-from concord.bus.plca.cycle import PlcaSettings
-from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import (
     Schedule,
     dynamic_only,
@@ -34,6 +30,10 @@ from concord.bus.schedule import (
     round_robin,
 )
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
+from concord.features.other_buses.can_fd.bits import IDENTIFIER_BITS, Rates
+from concord.features.other_buses.can_fd.can_fd_bus import can_fd_bus
+from concord.features.other_buses.plca.cycle import PlcaSettings
+from concord.features.other_buses.plca.plca_bus import PlcaBus
 from concord.nodes.bids import BIDS_FOR_CHANGE
 from concord.nodes.rules.labelled.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of

@@ -2,20 +2,14 @@
 
 import numpy as np
 
+from concord.features.control import scenario as control
+from concord.features.measurement_bus import meng2025, meng2025_network
+from concord.features.recorded import scenario as mrclam
+from concord.features.sets import liu2021, liu2021_network
+from concord.features.several_targets import scenario as target_swarm
+from concord.features.vehicle import scenario as vehicle_network
 from concord.filters.metrics import nees
-from concord.scenarios.definitions import (
-    control,
-    liu2021,
-    liu2021_network,
-    meng2025,
-    meng2025_network,
-    mrclam,
-    oscillator,
-    own,
-    target_swarm,
-    target_tracking,
-    vehicle_network,
-)
+from concord.scenarios.definitions import oscillator, own, target_tracking
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.plants import UserPlant

@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from concord.features.sets.set_membership import SetAtNode
+from concord.features.sets.window_sets import WindowSets
 from concord.filters.filter import Filter
 from concord.filters.fusion import (
     diffusion,
@@ -35,11 +37,9 @@ from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec
 from concord.nodes.rules.labelled.smoothing import SmoothingFlooding
 from concord.nodes.rules.labelled.window_filter import WindowFilter
-from concord.nodes.rules.labelled.window_sets import WindowSets
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
-from concord.nodes.rules.set_membership import SetAtNode
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.labelled import choice_of, flooding_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.adaptive_filter import AdaptiveFilter
-from concord.filters.adaptive.correntropy import CorrentropyFilter
-from concord.filters.adaptive.fuzzy_noise import FuzzyMatching
-from concord.filters.adaptive.sage_husa import Bounds, SageHusa
-from concord.filters.dual_layer import DualLayerFilter
+from concord.features.vehicle.adaptive.adaptive_filter import AdaptiveFilter
+from concord.features.vehicle.adaptive.correntropy import CorrentropyFilter
+from concord.features.vehicle.adaptive.dual_layer import DualLayerFilter
+from concord.features.vehicle.adaptive.fuzzy_noise import FuzzyMatching
+from concord.features.vehicle.adaptive.sage_husa import Bounds, SageHusa
 from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian

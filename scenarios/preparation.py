@@ -81,11 +81,11 @@ def _graph(scenario: Scenario, plant: ScenarioPlant) -> _Graph:
     """
     # Only here: a process of the network is handed the graph of the beginning, and draws another
     # one only where a change asks for it.
+    from concord.features.recorded.intel_lab import DATA_VARIABLE
     from concord.topology.adjacency import neighbours_of
     from concord.topology.analysis import require_connected
     from concord.topology.edge_text import edge_text
     from concord.topology.graphs import build_network
-    from concord.topology.intel_lab import DATA_VARIABLE
     from concord.topology.network import Network
     from concord.topology.weights import build_weights, check_weights, per_node
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from concord.features.sets import set_rules
+from concord.features.sets.set_shapes import Ellipsoids, Zonotopes
 from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Directly
 from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
@@ -15,8 +17,6 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.belief_consensus import HoldPolicy
-from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
-from concord.scenarios import set_rules
 from concord.scenarios.estimators import (
     BuildRule,
     alone_in_batch,

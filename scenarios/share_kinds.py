@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.sets.set_shapes import set_form
 from concord.filters.fusion.packed import packed_length
-from concord.nodes.rules.set_shapes import set_form
 from concord.nodes.share_forms import (
     ShareForm,
     SingleBelief,

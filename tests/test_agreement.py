@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.agreement import DriverDifference, first_difference
-from concord.experiments.results.trace import Trace
+from concord.results.records.trace import Trace
 from concord.runtime.drivers import DRIVERS
 from concord.runtime.network.links import wants_router
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
-from tests.experiments.flexray_support import concord
+from concord.studies.agree import DriverDifference, first_difference
 from tests.experiments.support import scenario, small, trace_of
+from tests.features.flexray_tools.flexray_support import concord
 from tests.nodes.test_faults import SWARM
 
 pytestmark = pytest.mark.slow
@@ -234,7 +234,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
         return DRIVERS["in-process"](prepare(changed), *rest)
 
     monkeypatch.setattr(
-        "concord.experiments.agreement.DRIVERS",
+        "concord.studies.agree.DRIVERS",
         {"in-process": DRIVERS["in-process"], "other": other},
     )
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]

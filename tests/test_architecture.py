@@ -303,7 +303,7 @@ VIOLATIONS: list[tuple[Rule, str, str, str]] = [
     (
         imports_point_one_way,
         "dashboard/a.py",
-        "import concord.experiments.results.trace",
+        "import concord.results.records.trace",
         "dashboard/ imports",
     ),
     (

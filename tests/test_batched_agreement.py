@@ -13,10 +13,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.monte_carlo.histories import Histories
-from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, simulate
-from concord.experiments.results.near_agreement import scale_of_cov, scale_of_mean
-from concord.experiments.results.trace import read_trace
+from concord.results.records.histories import Histories
+from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
@@ -24,6 +22,8 @@ from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import NumberRule
+from concord.studies.monte_carlo.simulate import COV, OPTIONAL, simulate
+from concord.studies.near_agreement import scale_of_cov, scale_of_mean
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.many_figures import ManyFigures, RunCost, summarise
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.scenario_options import scenario_of
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import neighbourhoods
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.monte_carlo.many_figures import ManyFigures, RunCost, summarise
+from concord.studies.monte_carlo.simulate import simulate
 
 pytestmark = pytest.mark.slow
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.compare.suite import SUITE
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from tests.experiments.flexray_support import concord
+from concord.studies.compare.suite import SUITE
+from tests.features.flexray_tools.flexray_support import concord
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
 pytestmark = pytest.mark.slow

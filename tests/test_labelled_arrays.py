@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.record_spread import figures_of
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.record_spread import figures_of
+from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.monte_carlo.simulate import simulate
+from concord.studies.near_agreement import departures
 from tests.changing_networks import changing
 from tests.test_batched_agreement import check_agreement, check_changing
 

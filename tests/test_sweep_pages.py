@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.monte_carlo.figure_table import FIGURES
+from concord.results.figures.figure_table import FIGURES
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 pytestmark = pytest.mark.slow

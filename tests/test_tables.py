@@ -14,10 +14,8 @@ import numpy as np
 import pytest
 
 from concord.bus.arbitration import ARBITERS
-from concord.experiments.agreement import first_difference
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import read_trace
 from concord.nodes.faults.vocabulary import EVERY_FAULT
+from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import DRIVERS, in_memory
 from concord.scenarios.bus_plan import cluster_names
@@ -29,6 +27,8 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.option import name_of
 from concord.scenarios.types.rules import RuleChoice, UserRule
+from concord.studies.agree import first_difference
+from concord.studies.near_agreement import departures
 from concord.topology.choices import GRAPHS, WEIGHTS
 from concord.topology.link_names import EXAMPLES as LINK_EXAMPLES
 from tests.experiments.support import scenario, trace_of

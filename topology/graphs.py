@@ -12,12 +12,12 @@ import networkx
 import numpy as np
 from numpy.typing import NDArray
 
+from concord.features.recorded.intel_lab import DATA_VARIABLE, intel_lab
 from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
 from concord.topology.choices import GRAPHS
 from concord.topology.edge_text import read_edge_text
 from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
 from concord.topology.graph_files import read_network
-from concord.topology.intel_lab import DATA_VARIABLE, intel_lab
 from concord.topology.names import unknown_name
 from concord.topology.network import Network
 from concord.topology.random_graphs import (

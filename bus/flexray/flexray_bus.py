@@ -45,7 +45,7 @@ class FlexRayBus(SlottedBus):
     """
 
     has_time = True
-    # `bus/flexray/response_times.py` bounds frames, and knows their periods.
+    # `features/flexray_tools/response_times.py` bounds frames, and knows their periods.
     worst_access_us = nan
 
     def __init__(

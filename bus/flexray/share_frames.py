@@ -31,7 +31,7 @@ from concord.bus.flexray.publication import Slot
 from concord.bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
 from concord.bus.fragments import payload_sizes, split
 from concord.bus.numbered_fragments import numbered, read_body
-from concord.bus.recordings.pcap import FLEXRAY_LINK
+from concord.bus.pcap import FLEXRAY_LINK
 
 CYCLE_COUNTS = 64
 _CYCLE = struct.Struct("<I")

@@ -13,8 +13,8 @@ from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, aft
 from concord.dashboard.frames.reading_filters import ReadingFilters
 from concord.dashboard.frames.scores import fuse, score, with_tracks
 from concord.dashboard.frames.stage import Stage, restaged
-from concord.dashboard.frames.targets import StepTracks, TracksTold
 from concord.dashboard.frames.told import StepContent, read_step
+from concord.features.several_targets.frames import StepTracks, TracksTold
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire

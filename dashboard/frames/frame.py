@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from concord.bus.bus import Bus, Transmission
 from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.frames.targets import StepTracks
+from concord.features.several_targets.frames import StepTracks
 from concord.filters.gaussian import Gaussian
 
 

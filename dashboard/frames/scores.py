@@ -4,7 +4,7 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepScores
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.frames.targets import StepTracks
+from concord.features.several_targets.frames import StepTracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import inverse_spd, multiply
 from concord.scenarios.catalogue import scored_nees

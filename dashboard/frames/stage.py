@@ -181,7 +181,7 @@ def _links(setup: Setup) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:
     if picture is PlantDrawing.TRACK:
-        from concord.plants.vehicle.network import NODES
+        from concord.features.vehicle.plant.network import NODES
 
         if len(NODES) == setup.scenario.nodes:
             return NODES

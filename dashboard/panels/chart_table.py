@@ -7,7 +7,7 @@ from concord.dashboard.frames.history import state_table
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 from concord.dashboard.panels.nis_chart import nis_chart
-from concord.dashboard.panels.track_charts import track_charts
+from concord.features.several_targets.charts import track_charts
 from concord.scenarios.preparation import share_bytes
 
 _LOWER, _UPPER = "−3σ", "+3σ"

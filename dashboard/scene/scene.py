@@ -14,10 +14,10 @@ from concord.dashboard.scene.plane import Plane
 from concord.dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
 from concord.dashboard.scene.posts import ErrorPosts
 from concord.dashboard.scene.signs import colour_of
-from concord.dashboard.scene.swarm import SwarmTracks
 from concord.dashboard.scene.track import CarTrack
 from concord.dashboard.theme import Theme, linear, mixed
 from concord.dashboard.view import MOST_LABELS, View
+from concord.features.several_targets.scene import SwarmTracks
 
 _NODE_HEIGHT = 0.02
 # Above these they hide everything, and say nothing.

@@ -11,14 +11,14 @@ from typing import Annotated
 import msgspec
 import tyro
 
-from concord.experiments.agreement import Agreement, agreement
-from concord.experiments.progress import progress
-from concord.experiments.results.folder import BATCHED
-from concord.experiments.results.near_agreement import tolerance_of
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
+from concord.results.folder import BATCHED
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
+from concord.studies.agree import Agreement, agreement
+from concord.studies.near_agreement import tolerance_of
+from concord.studies.progress import progress
 
 
 @dataclass(frozen=True)

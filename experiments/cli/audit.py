@@ -10,8 +10,8 @@ from typing import Annotated
 import msgspec
 import tyro
 
-from concord.experiments.audit.report import AuditResult, audit
 from concord.experiments.user_errors import user_errors
+from concord.studies.audit.report import AuditResult, audit
 
 
 @dataclass(frozen=True)

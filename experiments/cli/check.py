@@ -12,21 +12,21 @@ import numpy as np
 import tyro
 
 from concord.bus.arbitration import ARBITERS, Arbiter
-from concord.experiments.conformance.arbiter_promises import ARBITER_PROMISES, checked_arbiter
-from concord.experiments.conformance.filter_promises import FILTER_PROMISES, checked_filter
-from concord.experiments.conformance.promise import Promise, PromiseResult
-from concord.experiments.conformance.rule_promises import RULE_PROMISES, checked_rule
-from concord.experiments.conformance.scenario_promises import SCENARIO_PROMISES, checked_scenario
-from concord.experiments.scenario_options import scenario_of
-from concord.experiments.sweep.engines import engine_for
 from concord.experiments.user_errors import user_errors
 from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import is_source_name, source_of, value_of
+from concord.studies.check.arbiter_promises import ARBITER_PROMISES, checked_arbiter
+from concord.studies.check.filter_promises import FILTER_PROMISES, checked_filter
+from concord.studies.check.promise import Promise, PromiseResult
+from concord.studies.check.rule_promises import RULE_PROMISES, checked_rule
+from concord.studies.check.scenario_promises import SCENARIO_PROMISES, checked_scenario
+from concord.studies.sweep.engines import engine_for
 from concord.topology.names import unknown_name
 
 

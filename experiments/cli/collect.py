@@ -14,10 +14,14 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from concord.experiments.results.alternative import labelled_beside
-from concord.experiments.results.folder import RECORDING, Description, read_description
-from concord.experiments.results.innovations.of_run import channel_table, run_innovations
-from concord.experiments.results.run_results import (
+from concord.experiments.user_errors import user_errors
+from concord.results.figures.summary import Figures, summarise
+from concord.results.figures.summary_table import details, lines, opening, table
+from concord.results.figures.timing_figures import TimingFigures, figures_of
+from concord.results.folder import RECORDING, Description, read_description
+from concord.results.innovations.of_run import channel_table, run_innovations
+from concord.results.records.trace import Trace
+from concord.results.run_results import (
     NO_MORE,
     Captures,
     as_it_ran,
@@ -25,8 +29,8 @@ from concord.experiments.results.run_results import (
     completed,
     write_results,
 )
-from concord.experiments.results.run_verdict import LEGEND
-from concord.experiments.results.smoothing import (
+from concord.results.run_verdict import LEGEND
+from concord.results.smoothing import (
     SmoothingFigures,
     check_smoothing,
     smoothed_of,
@@ -34,14 +38,10 @@ from concord.experiments.results.smoothing import (
     smoothing_line,
     write_smoothed,
 )
-from concord.experiments.results.summary import Figures, summarise
-from concord.experiments.results.summary_table import details, lines, opening, table
-from concord.experiments.results.timing_figures import TimingFigures, figures_of
-from concord.experiments.results.trace import Trace
-from concord.experiments.user_errors import user_errors
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
+from concord.studies.alternative import labelled_beside
 
 CaptureCycles = Literal["used", "all"]
 """Cycles of the bus in a capture."""

@@ -9,16 +9,16 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from concord.experiments.compare.entries import asked_cases, check_together, entries_of, own_rules
-from concord.experiments.compare.output import write_comparison
-from concord.experiments.compare.results import assemble, comparison_figures
-from concord.experiments.compare.run import KEPT, compute_missing, kept_before
-from concord.experiments.compare.tables import as_json, print_comparison
-from concord.experiments.places import make_folder
-from concord.experiments.progress import progress
-from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.user_errors import user_errors
+from concord.results.places import make_folder
 from concord.runtime.failure import RunFailed
+from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
+from concord.studies.compare.output import write_comparison
+from concord.studies.compare.results import assemble, comparison_figures
+from concord.studies.compare.run import KEPT, compute_missing, kept_before
+from concord.studies.compare.tables import as_json, print_comparison
+from concord.studies.progress import progress
+from concord.studies.sweep.engines import engine_for, workers_here
 
 WIDTH = 80
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from concord.experiments.monte_carlo.other_runs import OtherRuns
+from concord.experiments.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
 from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
-from concord.experiments.priority import give_way
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
+from concord.studies.priority import give_way
 
 if TYPE_CHECKING:
     from concord.dashboard.app import Dashboard
@@ -133,13 +133,13 @@ def replay(
     sweep shows its cells, and computes and opens the runs that its viewers press.
     """
     # The page of a network does without it.
-    from concord.experiments.results.folder import ARRAYS
+    from concord.results.folder import ARRAYS
 
     if recording.suffix == ".nc" and recording.name != ARRAYS:
         _explore(recording, options, beside)
         return
     from concord.dashboard.serve import open_recording, other_run
-    from concord.experiments.monte_carlo.intervals import ratio_t
+    from concord.results.figures.intervals import ratio_t
 
     with user_errors():
         check_place(options.host, options.http_port)
@@ -172,8 +172,8 @@ def _explore(result: Path, options: PageOptions, beside: Path | None) -> None:
         check_place(options.host, options.http_port)
         from concord.dashboard.sweeps.sweep_page import SweepPage
         from concord.dashboard.theme import DARK, LIGHT
-        from concord.experiments.sweep.explored import UP, RunPages, swept_of
-        from concord.experiments.sweep.results import read_result
+        from concord.experiments.explored_sweep import UP, RunPages, swept_of
+        from concord.studies.sweep.results import read_result
 
         dataset = read_result(result)
         theme = LIGHT if options.light else DARK
@@ -193,7 +193,7 @@ def _recorded(named: Path) -> tuple["Setup", Path]:
     Raises:
         ValueError: there is none.
     """
-    from concord.experiments.results.folder import read_description, recording_of
+    from concord.results.folder import read_description, recording_of
 
     folder = named.parent if named.is_file() else named
     recording = recording_of(folder)

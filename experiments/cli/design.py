@@ -14,8 +14,14 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.experiments.cli.sweep import FILE_WIDTH
-from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
-from concord.experiments.design.results import (
+from concord.experiments.scenario_flags import said_in
+from concord.experiments.sweep_options import FieldOptions
+from concord.experiments.user_errors import user_errors
+from concord.results.places import new_name
+from concord.runtime.json_file import write_json
+from concord.scenarios.scenario_options import scenario_with_known
+from concord.studies.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
+from concord.studies.design.results import (
     Attempt,
     Design,
     check_place,
@@ -23,20 +29,14 @@ from concord.experiments.design.results import (
     design_of,
     nearest,
 )
-from concord.experiments.design.search import Found, SearchTask, search
-from concord.experiments.design.space import Values, placements_of, space_of
-from concord.experiments.design.target import BusLimits, parse_target
-from concord.experiments.few_samples import few_runs, few_steps
-from concord.experiments.places import new_name
-from concord.experiments.progress import progress
-from concord.experiments.scenario_flags import said_in
-from concord.experiments.scenario_options import scenario_with_known
-from concord.experiments.sweep.engines import engine_for, workers_here
-from concord.experiments.sweep.options import FieldOptions
-from concord.experiments.sweep.specification import shown, specify
-from concord.experiments.sweep.workers import WorkerLost
-from concord.experiments.user_errors import user_errors
-from concord.runtime.json_file import write_json
+from concord.studies.design.search import Found, SearchTask, search
+from concord.studies.design.space import Values, placements_of, space_of
+from concord.studies.design.target import BusLimits, parse_target
+from concord.studies.few_samples import few_runs, few_steps
+from concord.studies.progress import progress
+from concord.studies.sweep.engines import engine_for, workers_here
+from concord.studies.sweep.specification import shown, specify
+from concord.studies.sweep.workers import WorkerLost
 
 
 @dataclass(frozen=True, kw_only=True)

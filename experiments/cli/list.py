@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from concord.experiments.scenario_options import offered_options
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
 from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.scenario_definition import ScenarioDefinition
+from concord.scenarios.scenario_options import offered_options
 from concord.scenarios.types.buses import WrittenSchedule
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.option import name_of

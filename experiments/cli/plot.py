@@ -9,10 +9,10 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from concord.experiments.places import make_folder
-from concord.experiments.results.folder import ARRAYS, DESCRIPTION
-from concord.experiments.results.palette import save, use_house_style
 from concord.experiments.user_errors import user_errors
+from concord.results.folder import ARRAYS, DESCRIPTION
+from concord.results.palette import save, use_house_style
+from concord.results.places import make_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,15 +78,15 @@ def figures_of(result: Path) -> "dict[str, Figure]":
         ValueError: it is no result of ours.
     """
     if result.is_dir():
-        from concord.experiments.results.run_plots import run_figures
+        from concord.results.run_plots import run_figures
 
         return run_figures(result)
     if result.suffix == ".json":
-        from concord.experiments.design.plots import design_figures
-        from concord.experiments.design.results import read_design
+        from concord.studies.design.plots import design_figures
+        from concord.studies.design.results import read_design
 
         return design_figures(read_design(result))
-    from concord.experiments.sweep.plots import sweep_figures
-    from concord.experiments.sweep.results import read_result
+    from concord.studies.sweep.plots import sweep_figures
+    from concord.studies.sweep.results import read_result
 
     return sweep_figures(read_result(result))

@@ -13,9 +13,10 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.cli.plot import figures_of, result_of
-from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.results.palette import use_house_style
-from concord.experiments.results.report_page import (
+from concord.experiments.user_errors import user_errors
+from concord.results.figures.intervals import Interval
+from concord.results.palette import use_house_style
+from concord.results.report_page import (
     Code,
     Grid,
     Heading,
@@ -25,15 +26,14 @@ from concord.experiments.results.report_page import (
     as_markdown,
     picture,
 )
-from concord.experiments.sweep.specification import shown
-from concord.experiments.user_errors import user_errors
+from concord.studies.sweep.specification import shown
 
 if TYPE_CHECKING:
     import xarray
 
-    from concord.experiments.monte_carlo.many_figures import ManyFigures
-    from concord.experiments.results.folder import Description
-    from concord.experiments.results.summary import Figures
+    from concord.results.figures.summary import Figures
+    from concord.results.folder import Description
+    from concord.studies.monte_carlo.many_figures import ManyFigures
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def page_of(result: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
-    from concord.experiments.sweep.results import read_result, specification_of
-    from concord.experiments.sweep.summary import figures_of as summary_of
+    from concord.studies.sweep.results import read_result, specification_of
+    from concord.studies.sweep.summary import figures_of as summary_of
 
     dataset = read_result(path)
     summary = summary_of(dataset)
@@ -127,8 +127,8 @@ def _attributes(dataset: "xarray.Dataset") -> dict[str, str]:
 
 def _of_design(path: Path) -> tuple[str, list[PagePart]]:
     from concord.experiments.cli.design import lines
-    from concord.experiments.design.candidates import COSTS
-    from concord.experiments.design.results import read_design
+    from concord.studies.design.candidates import COSTS
+    from concord.studies.design.results import read_design
 
     design = read_design(path)
     unit = design.unit if design.target.reference == "unit" else f"x {design.target.reference}"
@@ -158,10 +158,10 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
-    from concord.experiments.results.folder import BATCHED, read_description
-    from concord.experiments.results.run_results import as_it_ran, completed
-    from concord.experiments.results.summary import summarise
-    from concord.experiments.results.summary_table import lines
+    from concord.results.figures.summary import summarise
+    from concord.results.figures.summary_table import lines
+    from concord.results.folder import BATCHED, read_description
+    from concord.results.run_results import as_it_ran, completed
 
     description = read_description(folder)
     if description.driver == BATCHED:
@@ -173,9 +173,9 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePart]]:
-    from concord.experiments.monte_carlo.histories_file import read_histories
-    from concord.experiments.monte_carlo.many_figures import lines, summarise
-    from concord.experiments.results.folder import ARRAYS
+    from concord.results.folder import ARRAYS
+    from concord.results.records.histories_file import read_histories
+    from concord.studies.monte_carlo.many_figures import lines, summarise
 
     figures = summarise(*read_histories(folder / ARRAYS, description.setup))
     page = _page_of_run(description, lines(figures), figures, _interval, "{:.4g}".format)

@@ -11,8 +11,6 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from concord.experiments.results.folder import new_folder
-from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 from concord.papers.kit.report import (
     REPORT,
@@ -22,7 +20,9 @@ from concord.papers.kit.report import (
     report_of,
     write_report,
 )
+from concord.results.folder import new_folder
 from concord.runtime.failure import RunFailed
+from concord.studies.sweep.workers import WorkerLost
 from concord.topology.names import unknown_name
 
 NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")

@@ -11,14 +11,12 @@ from typing import Annotated, Literal
 import tyro
 
 from concord.experiments.cli.collect import FiguresForm, ResultOptions, finish
-from concord.experiments.few_samples import few_runs, few_steps
-from concord.experiments.memory import check_address_space, check_memory
-from concord.experiments.monte_carlo.run_many import run_many
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
-from concord.experiments.places import new_name
-from concord.experiments.progress import progress
-from concord.experiments.results.folder import (
+from concord.experiments.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.user_errors import user_errors
+from concord.nodes.tempo import Tempo
+from concord.results.folder import (
     BATCHED,
     RECORDING,
     Description,
@@ -26,11 +24,9 @@ from concord.experiments.results.folder import (
     make_folder,
     write_description,
 )
-from concord.experiments.results.run_results import Captures, check_captures, completed
-from concord.experiments.results.smoothing import check_smoothing
-from concord.experiments.scenario_flags import ScenarioFlags, resolved
-from concord.experiments.user_errors import user_errors
-from concord.nodes.tempo import Tempo
+from concord.results.places import new_name
+from concord.results.run_results import Captures, check_captures, completed
+from concord.results.smoothing import check_smoothing
 from concord.runtime.drivers import DRIVERS, RunPace, over_processes
 from concord.runtime.failure import RunFailed
 from concord.runtime.network.links import names, ports_from
@@ -39,6 +35,10 @@ from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
 from concord.scenarios.warnings import warnings_of
+from concord.studies.few_samples import few_runs, few_steps
+from concord.studies.memory import check_address_space, check_memory
+from concord.studies.monte_carlo.run_many import run_many
+from concord.studies.progress import progress
 
 REALTIME = "realtime"
 

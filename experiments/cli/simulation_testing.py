@@ -15,7 +15,6 @@ from typing import Annotated, Any, NoReturn, Protocol, TypeVar
 import msgspec
 import tyro
 
-from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
@@ -25,8 +24,9 @@ from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import LivesOutcome, run_lives
 from concord.experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
-from concord.experiments.sweep.engines import engine_for
 from concord.experiments.user_errors import user_errors
+from concord.studies.progress import progress
+from concord.studies.sweep.engines import engine_for
 
 MOST_SHRUNK = 3
 

@@ -12,24 +12,24 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from concord.experiments.few_samples import decisive_run, few_runs, few_steps
-from concord.experiments.places import make_folder, new_name
-from concord.experiments.progress import progress
 from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep.cell_data import CellData
-from concord.experiments.sweep.cells import with_keep
-from concord.experiments.sweep.engines import engine_for, workers_here
-from concord.experiments.sweep.merge import merge_shards
-from concord.experiments.sweep.options import FieldOptions
-from concord.experiments.sweep.placements import in_words, over_placements
-from concord.experiments.sweep.results import flattened
-from concord.experiments.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
-from concord.experiments.sweep.specification import Specification, specify
-from concord.experiments.sweep.summary import figures_of, table
+from concord.experiments.sweep_options import FieldOptions
 from concord.experiments.user_errors import user_errors
+from concord.results.places import make_folder, new_name
 from concord.runtime.failure import RunFailed
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
+from concord.studies.few_samples import decisive_run, few_runs, few_steps
+from concord.studies.progress import progress
+from concord.studies.sweep.cell_data import CellData
+from concord.studies.sweep.cells import with_keep
+from concord.studies.sweep.engines import engine_for, workers_here
+from concord.studies.sweep.merge import merge_shards
+from concord.studies.sweep.placements import in_words, over_placements
+from concord.studies.sweep.results import flattened
+from concord.studies.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
+from concord.studies.sweep.specification import Specification, specify
+from concord.studies.sweep.summary import figures_of, table
 
 if TYPE_CHECKING:
     import xarray

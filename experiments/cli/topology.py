@@ -9,11 +9,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from concord.experiments.progress import progress
-from concord.experiments.topology.compare import ComparisonRow, compared
-from concord.experiments.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
-from concord.experiments.topology.subject import SubjectOptions, subject_of
 from concord.experiments.user_errors import user_errors
+from concord.studies.progress import progress
+from concord.studies.topology.compare import ComparisonRow, compared
+from concord.studies.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
+from concord.studies.topology.subject import SubjectOptions, subject_of
 from concord.topology.adjacency import nodes_of
 from concord.topology.graph_files import write_network
 
@@ -134,7 +134,7 @@ def show(
         layout: Where nodes are drawn: at their places where they have any, else laid out.
         json: Print one JSON object.
     """
-    from concord.experiments.topology.picture import draw  # only here: it loads matplotlib
+    from concord.studies.topology.picture import draw  # only here: it loads matplotlib
 
     with user_errors():
         subject = subject_of(source, options)

@@ -13,13 +13,12 @@ from pathlib import Path
 
 from concord.experiments.doctor import machine
 from concord.experiments.doctor.finding import Finding, Verdict
-from concord.plants.recorded import mrclam_files
-from concord.plants.vehicle import drive_log
+from concord.features.recorded import intel_lab, mrclam_files
+from concord.features.recorded.scenario import DATA_VARIABLE as MRCLAM_VARIABLE
+from concord.features.vehicle.plant import drive_log
 from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.network.sockets import in_folder, socket_folder
 from concord.runtime.network.zenoh_transport import LinkError, Transport
-from concord.scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
-from concord.topology import intel_lab
 
 PAGE_PORT = 8080
 _BROWSERS = ("firefox", "chromium", "chromium-browser", "google-chrome", "microsoft-edge", "safari")

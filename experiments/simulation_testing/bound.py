@@ -8,7 +8,6 @@ step in which information is counted twice.
 
 import numpy as np
 
-from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from concord.experiments.simulation_testing.broken import Broken
 from concord.experiments.simulation_testing.promises import (
     BOUNDED,
@@ -17,6 +16,7 @@ from concord.experiments.simulation_testing.promises import (
     promises,
 )
 from concord.experiments.simulation_testing.verdict import EstimateHistory
+from concord.results.figures.posterior_bound import Truths, posterior_bound
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.types.plants import noise_of
 from concord.scenarios.types.rules import number_of

@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from concord.experiments.scenario_options import offered_options, scenario_with_known
 from concord.experiments.simulation_testing.case import (
     OWN_FIELDS,
     SimulationCase,
@@ -25,6 +24,7 @@ from concord.experiments.simulation_testing.wire import WIRE_FAULTS
 from concord.scenarios.bus_plan import arbiter_names, schedule_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import offered_options, scenario_with_known
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.topology.names import unknown_name
 

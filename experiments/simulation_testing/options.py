@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from concord.experiments.scenario_flags import grouped_flags, texts
-from concord.experiments.scenario_options import offered_options
 from concord.experiments.simulation_testing.wire import read_wire
+from concord.scenarios.scenario_options import offered_options
 
 if TYPE_CHECKING:
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 
-from concord.experiments.scenario_options import in_options
 from concord.experiments.simulation_testing.case import (
     SimulationCase,
     check_case,
@@ -15,6 +14,7 @@ from concord.experiments.simulation_testing.case import (
 )
 from concord.experiments.simulation_testing.draw import draw_case
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import in_options
 
 MOST_TRIES = 200
 FEWEST_NODES = 2

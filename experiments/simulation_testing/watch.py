@@ -11,6 +11,7 @@ from concord.experiments.simulation_testing.ledger import OracleLedger
 from concord.experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
 from concord.experiments.simulation_testing.trimmed import broken_promise
 from concord.experiments.simulation_testing.weights import promised_weights
+from concord.features.sets.set_membership import SetAtNode
 from concord.filters.fusion.averaging import Averaged, Fused
 from concord.filters.gaussian import Gaussian, joined
 from concord.nodes.belief_codec import belief_of
@@ -25,7 +26,6 @@ from concord.nodes.rules.belief_consensus import BeliefConsensus
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
-from concord.nodes.rules.set_membership import SetAtNode
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from concord.filters.adaptive import sage_husa
-from concord.filters.adaptive.sage_husa import NoiseEstimate
+from concord.features.vehicle.adaptive import sage_husa
+from concord.features.vehicle.adaptive.sage_husa import NoiseEstimate
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, moments
 from concord.filters.sigma_points import SigmaPointRule, sigma_points

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
+from concord.features.vehicle.plant.drive import Drive
 from concord.papers.adlukf.cost import FilterCost
 from concord.papers.adlukf.drives import DRIVEN
 from concord.papers.adlukf.study import UNITS
@@ -21,7 +21,7 @@ from concord.papers.adlukf.tables import (
     state_index,
 )
 from concord.papers.kit.claims import Claim, Erratum, needs
-from concord.plants.vehicle.drive import Drive
+from concord.results.figures.intervals import Interval, mean_t, ratio_t
 
 MANOEUVRES = tuple(name.replace("-", " ") for name in DRIVEN)
 RIVALS = ("CKF", "FAUKF")

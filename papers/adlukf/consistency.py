@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from concord.features.vehicle.plant.drive import Drive
+from concord.features.vehicle.plant.model import SingleTrack
 from concord.filters.metrics import nees
 from concord.papers.adlukf.filters import Contestant
 from concord.papers.adlukf.study import CHANNELS, PRIOR_COV, ManoeuvreStudy, NoiseCase, estimate
-from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.model import SingleTrack
 
 
 def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> ManoeuvreStudy:

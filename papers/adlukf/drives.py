@@ -13,6 +13,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from concord.features.vehicle.plant.drive import Drive
+from concord.features.vehicle.plant.drive_log import LoggedDrive, read_folder, write_drive
+from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
+from concord.features.vehicle.plant.model import Tyre, linear_tyre, tanh_tyre
+from concord.features.vehicle.plant.parameters import Car
+from concord.features.vehicle.plant.sensors import TEST_CAR, logged
+from concord.features.vehicle.plant.truth import ESCORT, data_sheet, simulate
+from concord.features.vehicle.plant.tyre_identification import Identified, identify
 from concord.papers.adlukf.filters import CONTESTANTS
 from concord.papers.adlukf.small_angles import SmallAngles, small_angles
 from concord.papers.adlukf.study import (
@@ -25,14 +33,6 @@ from concord.papers.adlukf.study import (
     estimate,
     quantities,
 )
-from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.drive_log import LoggedDrive, read_folder, write_drive
-from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.model import Tyre, linear_tyre, tanh_tyre
-from concord.plants.vehicle.parameters import Car
-from concord.plants.vehicle.sensors import TEST_CAR, logged
-from concord.plants.vehicle.truth import ESCORT, data_sheet, simulate
-from concord.plants.vehicle.tyre_identification import Identified, identify
 
 DRIVEN = ("double-lane-change", "serpentine")
 IDENTIFIED_FROM = "ramp-steer"

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
+from concord.features.vehicle.plant.truth import TRUE_CARS, data_sheet, simulate
 from concord.papers.adlukf import tables
 from concord.papers.adlukf.drives import DRIVEN
 from concord.papers.adlukf.filters import CONTESTANTS
@@ -13,8 +15,6 @@ from concord.papers.adlukf.study import CASES, TIME_STEP_S, build_study, estimat
 from concord.papers.kit.checks import below
 from concord.papers.kit.report import Section, markdown_table
 from concord.papers.kit.side_by_side import side_by_side
-from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 
 ELSEWHERE = (
     ("bmw-320i", "step-steer"),

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from concord.features.vehicle.adaptive import correntropy, sage_husa
+from concord.features.vehicle.adaptive.adaptive_filter import AdaptiveFilter
+from concord.features.vehicle.adaptive.fuzzy_noise import FuzzyMatching
+from concord.features.vehicle.adaptive.noise_law import NoiseLaw
+from concord.features.vehicle.adaptive.sage_husa import SageHusa
 from concord.filters import ukf
-from concord.filters.adaptive import correntropy, sage_husa
-from concord.filters.adaptive.adaptive_filter import AdaptiveFilter
-from concord.filters.adaptive.fuzzy_noise import FuzzyMatching
-from concord.filters.adaptive.noise_law import NoiseLaw
-from concord.filters.adaptive.sage_husa import SageHusa
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model
 from concord.filters.sigma_point_filter import SigmaPointFilter

@@ -12,6 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
+from concord.features.vehicle.plant.model import linear_tyre, tanh_tyre
+from concord.features.vehicle.plant.parameters import BMW_320I
+from concord.features.vehicle.plant.truth import BMW, simulate
+from concord.features.vehicle.plant.tyre_identification import identify
 from concord.papers.adlukf import sections, verdict
 from concord.papers.adlukf.claims import claims, errata, gather
 from concord.papers.adlukf.consistency import average_nees, matched_study
@@ -37,11 +42,6 @@ from concord.papers.kit.figures import save
 from concord.papers.kit.report import Paper, Section
 from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.kit.traces import write_traces
-from concord.plants.vehicle.manoeuvres import MANOEUVRES
-from concord.plants.vehicle.model import linear_tyre, tanh_tyre
-from concord.plants.vehicle.parameters import BMW_320I
-from concord.plants.vehicle.truth import BMW, simulate
-from concord.plants.vehicle.tyre_identification import identify
 
 SHOWN_CASES = ("true R", "2 I")
 """Of Figures 4 and 5."""

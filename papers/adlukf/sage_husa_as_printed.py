@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import Bounds, fading_weight
+from concord.features.vehicle.adaptive.sage_husa import Bounds, fading_weight
 
 PROCESS_BOUNDS = Bounds(1e-14, 1e2)
 MEASUREMENT_BOUNDS = Bounds(1e-8, 1e4)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import positive_mean_t
+from concord.features.vehicle.plant.drive import Drive
 from concord.papers.adlukf import tables
 from concord.papers.adlukf.claims import MANOEUVRES
 from concord.papers.adlukf.cost import FilterCost
@@ -12,7 +12,7 @@ from concord.papers.adlukf.study import ACCELERATION, CASES, CHANNELS, PROCESS_V
 from concord.papers.adlukf.tables import ScoresByFilter, case_index, ratio, state_index
 from concord.papers.kit.checks import Check, above, agrees, at_most, near
 from concord.papers.kit.report import Section, markdown_table
-from concord.plants.vehicle.drive import Drive
+from concord.results.figures.intervals import positive_mean_t
 
 SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "MCUKF", "ADLUKF printed", "DLUKF")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.plants.vehicle.model import (
+from concord.features.vehicle.plant.model import (
     ACCELERATION,
     MIN_SPEED_M_S,
     SIDE_SLIP,
@@ -18,7 +18,7 @@ from concord.plants.vehicle.model import (
     Tyre,
     axles_of,
 )
-from concord.plants.vehicle.parameters import Car
+from concord.features.vehicle.plant.parameters import Car
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.vehicle.plant.drive import Drive
+from concord.features.vehicle.plant.model import SingleTrack, linear_tyre
+from concord.features.vehicle.plant.parameters import BMW_320I, Car
+from concord.features.vehicle.plant.sensors import TEST_CAR, draw_errors
 from concord.filters.gaussian import Gaussian
 from concord.papers.adlukf.filters import Contestant, StepInput
 from concord.papers.adlukf.small_angles import small_angles
-from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.model import SingleTrack, linear_tyre
-from concord.plants.vehicle.parameters import BMW_320I, Car
-from concord.plants.vehicle.sensors import TEST_CAR, draw_errors
 
 TIME_STEP_S = 0.01
 """Of the paper's test car."""

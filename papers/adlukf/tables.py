@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import mean_t, positive_mean_t
 from concord.papers.adlukf.filters import CONTESTANTS
 from concord.papers.adlukf.study import CASES, STATES, UNITS, ErrorScores
 from concord.papers.kit.report import markdown_table
+from concord.results.figures.intervals import mean_t, positive_mean_t
 
 ScoresByFilter = dict[str, ErrorScores]
 """The scores of every filter by name."""

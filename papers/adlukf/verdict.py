@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from concord.features.vehicle.plant.tyre_identification import Identified
 from concord.papers.adlukf import tables
 from concord.papers.adlukf.claims import MANOEUVRES
 from concord.papers.adlukf.drives import DRIVEN, IDENTIFIED_FROM, Logged, side_slip_rmse_deg
@@ -13,7 +14,6 @@ from concord.papers.adlukf.sections import SHOWN
 from concord.papers.adlukf.tables import COMPARED, ScoresByFilter, case_index, state_index
 from concord.papers.kit.checks import above, at_most, below
 from concord.papers.kit.report import Section, markdown_table
-from concord.plants.vehicle.tyre_identification import Identified
 
 
 def in_plain_words(

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from scipy.special import stdtrit
 
-from concord.experiments.monte_carlo.intervals import Interval
+from concord.results.figures.intervals import Interval
 
 # A reproduction makes about a hundred checks; one in ten such reports may fail by chance.
 CONFIDENCE = 0.999

@@ -11,7 +11,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval
+from concord.results.figures.intervals import Interval
 
 Verdict = Literal["holds", "does not hold", "not comparable", "contradicts itself"]
 Test = Literal["every finding", "any open choice", "print against print"]

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from concord.experiments.results.folder import versions
 from concord.papers.kit.checks import Check
 from concord.papers.kit.claims import Claim, Erratum
+from concord.results.folder import versions
 from concord.runtime.disk import writing
 
 REPORT, REPORT_JSON = "report.md", "report.json"

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from concord.experiments.progress import progress
-from concord.experiments.sweep.engines import workers_here
-from concord.experiments.sweep.workers import in_processes
+from concord.studies.progress import progress
+from concord.studies.sweep.engines import workers_here
+from concord.studies.sweep.workers import in_processes
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from concord.experiments.results.netcdf_file import write_dataset
+from concord.results.records.netcdf_file import write_dataset
 
 TRACES = "traces.nc"
 

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.nodes.faults.losses import Outage
@@ -19,6 +17,7 @@ from concord.nodes.lanes.links import links_of
 from concord.nodes.messages import Measured
 from concord.nodes.node import NodeConfig
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
+from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.batched import driver as batched
 from concord.runtime.batched.build import build_network
@@ -28,6 +27,7 @@ from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 

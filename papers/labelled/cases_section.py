@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval, ratio_t
 from concord.papers.kit.checks import Check, at_most
 from concord.papers.kit.report import Section, markdown_table
 from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.labelled.cases import CUT, HUB, HUB_DEAD, CaseOutcome, FaultCase, runs_of_case
 from concord.papers.labelled.study import ratio_text
+from concord.results.figures.intervals import Interval, ratio_t
 
 PARTS = (1.0, 0.25, 0.1)
 _SCORED_FROM = 20

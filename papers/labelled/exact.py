@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.nodes.faults.losses import LinkState, hears
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
 from concord.papers.labelled.record_search import Held, reachable, winners_of
+from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import MemoryRecorder
@@ -19,6 +18,7 @@ from concord.scenarios.baselines import centralised
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 # Every record is everywhere before its step is over.

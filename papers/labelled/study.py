@@ -8,20 +8,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
-from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
-from concord.experiments.results.bus_report import wire_per_step
-from concord.experiments.results.record_spread import figures_of
-from concord.experiments.results.sent_shares import SentShares
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.papers.kit.side_by_side import side_by_side
+from concord.results.bus.bus_report import wire_per_step
+from concord.results.bus.sent_shares import SentShares
+from concord.results.figures.intervals import Interval, mean_t, ratio_t
+from concord.results.records.record_spread import figures_of
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import COV, READINGS, simulate
 
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
 

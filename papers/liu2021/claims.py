@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.sets.ellipsoid import Ellipsoid
+from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.filters.ellipsoid import Ellipsoid
 from concord.papers.kit.claims import Claim, Erratum, needs
 from concord.papers.liu2021.mutants import Mutant
 from concord.papers.liu2021.runs import BoundedEstimates, SequenceBatch
 from concord.papers.liu2021.tables import PUBLISHED, WINNER_OF_TABLES, difference
-from concord.plants import liu2021
 
 # Shorter axes, relative to the longest, are the bound on rounding.
 _RANK_TOLERANCE = 1e-4

@@ -5,9 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.sets.bus_readings import MeasuredPlant
-from concord.filters.sets.criterion import plain_trace
-from concord.filters.sets.recursive_estimator import optimal_step
+from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
+from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.bounded import BoundedSystem
+from concord.features.sets.filters.bus_readings import MeasuredPlant
+from concord.features.sets.filters.criterion import plain_trace
+from concord.features.sets.filters.recursive_estimator import optimal_step
 from concord.papers.liu2021.runs import (
     PLANT,
     BoundedEstimates,
@@ -17,9 +20,6 @@ from concord.papers.liu2021.runs import (
     printed_step,
     tight,
 )
-from concord.plants import liu2021
-from concord.plants.bounded import BoundedSystem
-from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
 
 # Divisible by the cycles of every number of static slots.
 STEPS = 60

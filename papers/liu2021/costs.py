@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.sets.bus_readings import augmented
-from concord.filters.sets.cycle import turned
-from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
-from concord.filters.sets.multipliers import Problem
-from concord.filters.sets.recursive_estimator import problem
+from concord.features.sets.filters.bus_readings import augmented
+from concord.features.sets.filters.cycle import turned
+from concord.features.sets.filters.ellipsoid import Ellipsoid, shape_matrix
+from concord.features.sets.filters.multipliers import Problem
+from concord.features.sets.filters.recursive_estimator import problem
 from concord.papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch, printed_step
 from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from concord.filters.sets.ellipsoid import Ellipsoid, image, outline
+from concord.features.sets.filters.ellipsoid import Ellipsoid, image, outline
 from concord.papers.kit.figures import legend_below, one_axes
 from concord.papers.liu2021.runs import BoundedEstimates, G, N, SequenceBatch
 

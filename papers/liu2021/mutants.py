@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.bus.measurement_bus import MeasurementBus
+from concord.features.measurement_bus.measurement_bus import MeasurementBus
 from concord.papers.liu2021.runs import (
     BUS,
     BoundedEstimates,

@@ -6,26 +6,26 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from concord.bus.measurement_bus import MeasurementBus
-from concord.filters.sets import histories, zonotope
-from concord.filters.sets.bus_readings import MeasuredPlant
-from concord.filters.sets.closed_form import closed_form_step
-from concord.filters.sets.criterion import plain_trace
-from concord.filters.sets.ellipsoid import (
+from concord.features.measurement_bus.measurement_bus import MeasurementBus
+from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
+from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.filters import histories, zonotope
+from concord.features.sets.filters.bus_readings import MeasuredPlant
+from concord.features.sets.filters.closed_form import closed_form_step
+from concord.features.sets.filters.criterion import plain_trace
+from concord.features.sets.filters.ellipsoid import (
     Ellipsoid,
     half_widths,
     shape_matrix,
     squared_radius,
 )
-from concord.filters.sets.histories import CycleStep, SetHistory
-from concord.filters.sets.lifted_cycle import (
+from concord.features.sets.filters.histories import CycleStep, SetHistory
+from concord.features.sets.filters.lifted_cycle import (
     AugmentedCycle,
     DeliveredValues,
 )
-from concord.filters.sets.recursive_estimator import optimal_step
-from concord.filters.sets.zonotope import Zonotope
-from concord.plants import liu2021
-from concord.scenarios.definitions.measurement_runs import bus_of_outputs, delivered
+from concord.features.sets.filters.recursive_estimator import optimal_step
+from concord.features.sets.filters.zonotope import Zonotope
 
 PLANT = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 BUS = bus_of_outputs(liu2021.OUTPUTS, liu2021.STATIC_OUTPUTS, liu2021.weights)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.sets.multipliers import Problem
+from concord.features.sets.filters.multipliers import Problem
 
 
 class Solution(NamedTuple):

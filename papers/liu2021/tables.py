@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.bus.measurement_bus import MeasurementBus
+from concord.features.measurement_bus.measurement_bus import MeasurementBus
+from concord.features.measurement_bus.measurement_runs import delivered
+from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.filters.bus_readings import augmented
+from concord.features.sets.filters.ellipsoid import Ellipsoid, squared
 from concord.filters.lanes import join_columns
-from concord.filters.sets.bus_readings import augmented
-from concord.filters.sets.ellipsoid import Ellipsoid, squared
 from concord.papers.liu2021.runs import BUS, HELD, PLANT, G, N, printed_step
-from concord.plants import liu2021
-from concord.scenarios.definitions.measurement_runs import delivered
 
 WINNER_OF_TABLES = 1
 _HAIR = 1e-7

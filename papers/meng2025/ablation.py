@@ -2,14 +2,11 @@
 
 import numpy as np
 
-from concord.bus.measurement_bus import flexray
-from concord.filters.extended import ExtendedFilter
-from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import inverse_spd, multiply, symmetrise
-from concord.filters.moments import evaluate, points_last
-from concord.filters.sigma_point_filter import SigmaPointFilter
-from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.stochastic_ukf import (
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.measurement_bus import flexray
+from concord.features.measurement_bus.meng2025 import SENSORS, SYSTEM
+from concord.features.measurement_bus.stochastic import StochasticSystem
+from concord.features.measurement_bus.stochastic_ukf import (
     RECOMMENDED,
     MeasurementFilter,
     Observation,
@@ -19,12 +16,15 @@ from concord.filters.stochastic_ukf import (
     expected_cov,
     on_fresh_rows,
 )
+from concord.filters.extended import ExtendedFilter
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import inverse_spd, multiply, symmetrise
+from concord.filters.moments import evaluate, points_last
+from concord.filters.sigma_point_filter import SigmaPointFilter
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
 from concord.papers.meng2025 import filter_as_printed
 from concord.papers.meng2025.filter_as_printed import PrintedState
 from concord.papers.meng2025.runs import ComparedMethod
-from concord.plants import meng2025
-from concord.plants.stochastic import StochasticSystem
-from concord.scenarios.definitions.meng2025 import SENSORS, SYSTEM
 
 
 def ablations() -> dict[str, ComparedMethod]:

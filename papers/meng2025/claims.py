@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval
+from concord.features.measurement_bus.meng2025 import SYSTEM
+from concord.features.measurement_bus.stochastic_ukf import expected_cov
 from concord.filters.gaussian import Gaussian
-from concord.filters.stochastic_ukf import expected_cov
 from concord.papers.kit.claims import Claim, needs
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, ranks_of_printed_cov
 from concord.papers.meng2025.table import EstimatorRow, difference, mse_by_step, trace_by_step
-from concord.scenarios.definitions.meng2025 import SYSTEM
+from concord.results.figures.intervals import Interval
 
 # Where the covariance of the printed filter ignores what was sent, it does so to rounding.
 _ROUNDING = 1e-6

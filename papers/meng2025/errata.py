@@ -1,10 +1,10 @@
 """The errata of Meng et al. (2025), numbered as docs/papers/meng2025.md explains them."""
 
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.meng2025 import paper_points
 from concord.papers.kit.claims import Erratum
 from concord.papers.meng2025.runs import SlotEstimates
 from concord.papers.meng2025.table import EstimatorRow
-from concord.plants import meng2025
-from concord.scenarios.definitions.meng2025 import paper_points
 
 _PRINTED = (
     ("(19)", "P_yy with noise on the fresh rows alone", "singular beyond 2n + 1 entries"),

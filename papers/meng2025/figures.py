@@ -3,10 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.papers.kit.figures import one_axes
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
 from concord.papers.meng2025.table import mse_by_step, running_mse, trace_by_step
-from concord.plants import meng2025
 
 TRUE, OURS, PRINTED, DYNAMIC = "0.15", "C0", "C3", "C1"
 _TWO_SIGMA = 2.0

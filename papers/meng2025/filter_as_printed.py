@@ -3,7 +3,7 @@
 `PAPER_LITERAL` cannot run as printed: Pyy in (19) is singular. It takes a pseudo-inverse, and is
 there to show what that gives. `PAPER_LITERAL_R` has measurement noise on every
 row, which makes Pyy regular. For anything else there is
-`concord.filters.stochastic_ukf.RECOMMENDED`.
+`concord.features.measurement_bus.stochastic_ukf.RECOMMENDED`.
 
 Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
 protocol, equations (10) to (23).
@@ -15,18 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters import ukf
-from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import inverse_spd, multiply, symmetrise
-from concord.filters.moments import evaluate, points_last
-from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.stochastic_ukf import (
+from concord.features.measurement_bus.stochastic_ukf import (
     Dynamics,
     MeasurementFilter,
     Observation,
     Received,
     expected_cov,
 )
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import inverse_spd, multiply, symmetrise
+from concord.filters.moments import evaluate, points_last
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
 
 # Eigenvalues below this part of the largest count as zero in a pseudo-inverse.
 PSEUDO_INVERSE_CUTOFF = 1e-10

@@ -3,10 +3,10 @@
 import numpy as np
 
 from concord.bus.schedule import Schedule
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.meng2025 import DEFINITION, SYSTEM
 from concord.filters.particle import Particles, cov, mean, resample
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
-from concord.plants import meng2025
-from concord.scenarios.definitions.meng2025 import DEFINITION, SYSTEM
 from concord.scenarios.streams import generator
 
 PARTICLES = 2000

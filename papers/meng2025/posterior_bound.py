@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.meng2025 import SYSTEM
+from concord.features.measurement_bus.stochastic import NoiseSecondMoment
 from concord.papers.meng2025.runs import MeasuredBatch
-from concord.plants import meng2025
-from concord.plants.stochastic import NoiseSecondMoment
-from concord.scenarios.definitions.meng2025 import SYSTEM
 
 _STEP = 1e-4
 

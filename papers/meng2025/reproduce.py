@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import Interval
 from concord.papers.kit.checks import Check, above, agrees, at_most, below
 from concord.papers.kit.figures import save_all
 from concord.papers.kit.report import Paper, Section, markdown_table
@@ -28,6 +27,7 @@ from concord.papers.meng2025.runs import (
     transmit,
 )
 from concord.papers.meng2025.table import EstimatorRow, row
+from concord.results.figures.intervals import Interval
 
 RUNS, STEPS = 200, 100
 # Number of runs of an independent implementation, and the rounding of its printed figures.

@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.bus.measurement_bus import (
+from concord.bus.schedule import Schedule
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.gaussian_receiver import GaussianReceiver
+from concord.features.measurement_bus.measurement_bus import (
     MeasurementBus,
     SlotOutcome,
     all_at_once,
@@ -17,10 +20,15 @@ from concord.bus.measurement_bus import (
     round_robin,
     try_once_discard,
 )
-from concord.bus.schedule import Schedule
+from concord.features.measurement_bus.measurement_runs import (
+    estimate,
+    first_received,
+    slots_of,
+)
+from concord.features.measurement_bus.meng2025 import DEFINITION, SENSORS, SYSTEM, paper_points
+from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
+from concord.features.measurement_bus.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
 from concord.filters.gaussian import Gaussian
-from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from concord.nodes.receivers.gaussian_receiver import GaussianReceiver
 from concord.papers.kit.plant_runs import plant_runs
 from concord.papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
@@ -29,14 +37,6 @@ from concord.papers.meng2025.filter_as_printed import (
     pseudo_inverse,
     update,
 )
-from concord.plants import meng2025
-from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem
-from concord.scenarios.definitions.measurement_runs import (
-    estimate,
-    first_received,
-    slots_of,
-)
-from concord.scenarios.definitions.meng2025 import DEFINITION, SENSORS, SYSTEM, paper_points
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)

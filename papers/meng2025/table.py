@@ -3,14 +3,14 @@
 import msgspec
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import (
+from concord.filters.metrics import nees
+from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
+from concord.results.figures.intervals import (
     Interval,
     chi_square_quantile,
     mean_t,
     positive_mean_t,
 )
-from concord.filters.metrics import nees
-from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
 
 ELLIPSE = 0.95
 DIVERGED = 1e3

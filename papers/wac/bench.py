@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import positive_mean_t, ratio_t
-from concord.experiments.monte_carlo.simulate import simulate
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.papers.wac.network import beliefs_of, network_of
+from concord.results.figures.intervals import positive_mean_t, ratio_t
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 
 
 class PaperScenario(NamedTuple):

@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.control import cruise, motor, pitch, suspension
+from concord.features.control.continuous import ContinuousPlant
+from concord.features.control.design import controllability_rank, observability_rank
+from concord.features.control.networks import PAPER_PRIOR_VARIANCE
+from concord.features.control.transfer_functions import Rational, root_locus, series
 from concord.papers.wac.exact import Exact
 from concord.papers.wac.loops import Loops
 from concord.papers.wac.responses import OUTPUT, Trial, rmse
 from concord.papers.wac.root_loci import figure_7
 from concord.papers.wac.unstable import UnstableOutcome
-from concord.plants.control import cruise, motor, pitch, suspension
-from concord.plants.control.continuous import ContinuousPlant
-from concord.plants.control.design import controllability_rank, observability_rank
-from concord.plants.control.networks import PAPER_PRIOR_VARIANCE
-from concord.plants.control.transfer_functions import Rational, root_locus, series
 from concord.topology.graphs import path, ring
 from concord.topology.weights import equal_neighbour, metropolis
 

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.control.cruise import cruise
+from concord.features.control.motor import motor_position, motor_speed
+from concord.features.control.pitch import pitch
+from concord.features.control.suspension import suspension
 from concord.papers.kit.checks import Check, above, at_most, near
 from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
 from concord.papers.wac.exact_rules import RULES
-from concord.plants.control.cruise import cruise
-from concord.plants.control.motor import motor_position, motor_speed
-from concord.plants.control.pitch import pitch
-from concord.plants.control.suspension import suspension
 from concord.plants.linear import LinearPlant
 from concord.topology.graphs import build_graph
 from concord.topology.spectrum import second_eigenvalue_modulus

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from concord.features.control.transfer_functions import root_locus
 from concord.papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, legend_below, save
 from concord.papers.wac.figures import DPI
 from concord.papers.wac.root_loci import Panel, figure_7
-from concord.plants.control.transfer_functions import root_locus
 
 FILE = "fig07_root_loci"
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from concord.features.control import motor, suspension
+from concord.features.control.design import continuous_gain_feedback, precompensation
+from concord.features.control.references import constant
 from concord.papers.kit.checks import Check, above, at_most, below, near, refused
 from concord.papers.wac.loops import Loops
-from concord.plants.control import motor, suspension
-from concord.plants.control.design import continuous_gain_feedback, precompensation
-from concord.plants.control.references import constant
 
 
 def checks_of(loops: Loops) -> list[Check]:

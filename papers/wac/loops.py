@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.plants.control import cruise, motor, pitch, suspension
-from concord.plants.control.closed_loop import (
+from concord.features.control import cruise, motor, pitch, suspension
+from concord.features.control.closed_loop import (
     Controller,
     Response,
     StepFigures,
@@ -17,15 +17,15 @@ from concord.plants.control.closed_loop import (
     quiet,
     step_figures,
 )
-from concord.plants.control.controllers import StateFeedback
-from concord.plants.control.design import (
+from concord.features.control.controllers import StateFeedback
+from concord.features.control.design import (
     continuous_gain_feedback,
     lqr_gain,
     placed_feedback,
     pole_placement,
 )
-from concord.plants.control.references import constant
-from concord.plants.control.transfer_functions import Rational, output_feedback, series
+from concord.features.control.references import constant
+from concord.features.control.transfer_functions import Rational, output_feedback, series
 from concord.plants.linear import LinearPlant
 
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from typing import NamedTuple
 
-from concord.experiments.progress import progress
 from concord.papers.wac.bench import Bench, PaperScenario, VariantCell, attempt, bench_of
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.types.holds import Decayed, Dropped, InStep, Predicted, Raw, Renormalised
 from concord.scenarios.types.rules import hold_of
+from concord.studies.progress import progress
 from concord.topology.spectrum import second_eigenvalue_modulus
 from concord.topology.weights import from_per_node
 

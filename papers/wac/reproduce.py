@@ -8,7 +8,6 @@ Design".
 from collections.abc import Iterator
 from pathlib import Path
 
-from concord.experiments.progress import progress
 from concord.papers.kit.figures import shown
 from concord.papers.kit.report import Paper, Section
 from concord.papers.kit.traces import write_traces
@@ -27,6 +26,7 @@ from concord.papers.wac import (
 from concord.papers.wac.claims import judge
 from concord.papers.wac.errata import ERRATA
 from concord.papers.wac.evidence import gather
+from concord.studies.progress import progress
 
 CLAIMS, LIST, FIGURES, LOOPS, EXACT, UNSTABLE, BUS = range(7)
 MOTOR_SHARE = 2

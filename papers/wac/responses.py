@@ -10,7 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.experiments.progress import progress
+from concord.features.control import cruise, motor, pitch, suspension
+from concord.features.control.closed_loop import Controller, closed_loop
+from concord.features.control.continuous import ContinuousPlant
+from concord.features.control.controllers import StateFeedback
+from concord.features.control.design import placed_feedback
+from concord.features.control.references import Staircase, constant
 from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import MOMENTS
 from concord.filters.gaussian import Gaussian
@@ -26,14 +31,9 @@ from concord.nodes.rules.local_filter import (
     predict_to_step,
     update_with_readings,
 )
-from concord.plants.control import cruise, motor, pitch, suspension
-from concord.plants.control.closed_loop import Controller, closed_loop
-from concord.plants.control.continuous import ContinuousPlant
-from concord.plants.control.controllers import StateFeedback
-from concord.plants.control.design import placed_feedback
-from concord.plants.control.references import Staircase, constant
 from concord.plants.draws import Draws, standard_draws
 from concord.plants.linear import LinearPlant, LinearSensor, Signal
+from concord.studies.progress import progress
 from concord.topology.adjacency import neighbours_of
 from concord.topology.graphs import ring
 from concord.topology.weights import metropolis, per_node

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.plants.control import cruise, motor, pitch, suspension
-from concord.plants.control.transfer_functions import Rational, root_locus, series
+from concord.features.control import cruise, motor, pitch, suspension
+from concord.features.control.transfer_functions import Rational, root_locus, series
 
 # The tutorial's notch for the bus: zeros near its slow pair -.11 +- 5.25i, poles far left.
 NOTCH = Rational((1.0, 6.0, 21.25), (1.0, 90.0, 1800.0))

@@ -9,9 +9,9 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 import numpy as np
 
+from concord.features.vehicle.plant.parameters import GRAVITY_M_S2
 from concord.plants.recorded.channels import ChannelReadings, channel_of
 from concord.plants.recorded.log_files import LogFile, open_log
-from concord.plants.vehicle.parameters import GRAVITY_M_S2
 
 Map = TypeVar("Map", bound="LogMap")
 

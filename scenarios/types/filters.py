@@ -2,8 +2,8 @@
 
 from typing import Annotated, Literal, get_args
 
+from concord.features.sets.filters.multipliers import ACCURACY
 from concord.filters.filter import Filter
-from concord.filters.sets.multipliers import ACCURACY
 from concord.scenarios.types.option import USER, Choice, Option, name_of
 from concord.scenarios.user.values import FromFile, is_source_name, kept_source, source_of
 

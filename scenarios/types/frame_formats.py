@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 from concord.bus.bus import FrameFormat
-from concord.bus.can_fd.bits import IDENTIFIER_BITS
-from concord.bus.can_fd.frame import FRAMINGS as CAN_FRAMINGS
 from concord.bus.flexray.share_frames import SHARE_FRAMES
-from concord.bus.plca.ethernet import FRAMING as ETHERNET
+from concord.features.other_buses.can_fd.bits import IDENTIFIER_BITS
+from concord.features.other_buses.can_fd.frame import FRAMINGS as CAN_FRAMINGS
+from concord.features.other_buses.plca.ethernet import FRAMING as ETHERNET
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import CanFd, FlexRay, Ideal, Plca, SharedBus, UserBus
 from concord.scenarios.user.bus import user_frame_format

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from concord.plants.scanning import FALSE_ALARM, MOST_CLUTTER
+from concord.features.several_targets.scanning import FALSE_ALARM, MOST_CLUTTER
 from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.user.values import FromFile, ValueSource, is_source_name, source_of
 

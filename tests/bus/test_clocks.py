@@ -5,11 +5,11 @@ import pytest
 
 from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS, offset_correction_macroticks
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.files.cluster_files import cluster_from_toml, cluster_to_toml
-from concord.bus.flexray.files.fibex import WITHOUT_ELEMENT, cluster_from_fibex
-from concord.bus.flexray.files.fibex_writing import cluster_to_fibex
+from concord.bus.flexray.cluster_files import cluster_from_toml, cluster_to_toml
 from concord.bus.flexray.levels import broken_rules, precision_us
 from concord.bus.flexray.presets import DEMO
+from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT, cluster_from_fibex
+from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex
 from tests.bus.support import broken
 
 PRODUCTION = Cluster(

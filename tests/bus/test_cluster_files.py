@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster, ClusterError
-from concord.bus.flexray.files.cluster_files import cluster_from_toml, cluster_to_toml
+from concord.bus.flexray.cluster_files import cluster_from_toml, cluster_to_toml
 from concord.bus.flexray.presets import AUDI, DEMO
 from tests.bus.support import clusters, quick
 

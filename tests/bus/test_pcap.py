@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 
 from concord.bus.captured import Captured, file_header
 from concord.bus.flexray.frame import Channel, Frame, encode
-from concord.bus.recordings.decoder import Decoding
-from concord.bus.recordings.pcap import (
+from concord.bus.pcap import (
     LINK_TYPE_FLEXRAY,
     CapturedSymbol,
     packet,
     write_pcap,
 )
+from concord.features.flexray_tools.recordings.decoder import Decoding
 from tests.bus.support import frames, quick
-from tests.experiments.flexray_support import dissect
+from tests.features.flexray_tools.flexray_support import dissect
 
 needs_tshark = pytest.mark.skipif(
     shutil.which("tshark") is None, reason="tshark is not installed (apt-get install tshark)"

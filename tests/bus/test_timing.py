@@ -22,7 +22,7 @@ from concord.bus.flexray.timing import (
     static_transmissions,
     stretch_needed,
 )
-from concord.bus.recordings.decoder import Decoding
+from concord.features.flexray_tools.recordings.decoder import Decoding
 from tests.bus.support import clusters, dynamic_segments, quick, served
 
 

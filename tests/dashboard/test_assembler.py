@@ -12,9 +12,9 @@ from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.network import NetworkStatus
-from concord.experiments.results.summary import summarise
-from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.messages import Estimate, decode
+from concord.results.figures.summary import summarise
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 

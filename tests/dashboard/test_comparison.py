@@ -21,7 +21,7 @@ from concord.dashboard.panels.charts import sampled
 from concord.dashboard.serve import open_recording, other_run
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
-from concord.experiments.monte_carlo.intervals import ratio_t
+from concord.results.figures.intervals import ratio_t
 from concord.scenarios.setup import Setup
 from tests.dashboard.browser_page import Page, recorded
 from tests.dashboard.runs import setup_of

@@ -10,8 +10,8 @@ from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.panels.chart import Sample
 from concord.dashboard.panels.nis_chart import nis_chart
 from concord.dashboard.view import View
-from concord.experiments.results.innovations.of_run import run_innovations
-from concord.experiments.results.trace import read_trace
+from concord.results.innovations.of_run import run_innovations
+from concord.results.records.trace import read_trace
 from concord.runtime.whole_steps import WholeSteps
 from tests.dashboard.runs import run_of
 

@@ -18,11 +18,11 @@ from concord.dashboard.sweeps.scatter import axes_of, scatter
 from concord.dashboard.sweeps.sweep_page import SweepPage
 from concord.dashboard.sweeps.swept import CellQuantity, Choices, SweptCells, looks, shown_cells
 from concord.dashboard.theme import DARK
+from concord.experiments.explored_sweep import UP, RunPages, swept_of
 from concord.experiments.page_options import PageOptions
-from concord.experiments.results.folder import RECORDING, read_description
-from concord.experiments.sweep.explored import UP, RunPages, swept_of
-from concord.experiments.sweep.results import read_result
+from concord.results.folder import RECORDING, read_description
 from concord.runtime.recording import read_recording
+from concord.studies.sweep.results import read_result
 from tests.dashboard.browser_page import press_on
 from tests.dashboard.browser_tab import new_tab
 from tests.processes import CONCORD

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from benchmarks.measure import say
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.folder import ARRAYS
-from concord.experiments.results.netcdf_file import read_dataset
+from concord.results.folder import ARRAYS
+from concord.results.records.netcdf_file import read_dataset
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.support import broken_promises, trace_of
 
 # A node that stayed has taken part in so many steps in a row. Runs without deaths, and their steps.

@@ -14,14 +14,14 @@ import numpy as np
 import tyro
 
 from benchmarks.measure import say
-from concord.experiments.audit.report import audit
-from concord.experiments.results.folder import ARRAYS, describe, write_arrays
-from concord.experiments.results.netcdf_file import read_dataset
-from concord.experiments.results.timing_figures import figures_of, lines
 from concord.nodes.commands import in_words
+from concord.results.figures.timing_figures import figures_of, lines
+from concord.results.folder import ARRAYS, describe, write_arrays
+from concord.results.records.netcdf_file import read_dataset
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.tempo import tempo_of
+from concord.studies.audit.report import audit
 from tests.endurance.running import PROC, Running
 from tests.experiments.support import trace_of
 

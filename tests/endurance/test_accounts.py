@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.simulate import simulate
+from concord.studies.monte_carlo.simulate import simulate
 from tests.endurance.accounts import consistency_of_survivors, cycles_to_agree
 from tests.experiments.support import small
 

@@ -6,17 +6,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from concord.experiments.audit.report import audit
-from concord.experiments.results.folder import describe, write_arrays
-from concord.experiments.results.trace import read_trace
 from concord.nodes.commands import Speed
 from concord.nodes.tempo import Tempo
+from concord.results.folder import describe, write_arrays
+from concord.results.records.trace import read_trace
 from concord.runtime.network.links import ZenohEndpoints, names
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.recording import read_recording
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.tempo import tempo_of
+from concord.studies.audit.report import audit
 from tests.endurance.running import Running, neighbouring_ports
 from tests.processes import holds_within
 

@@ -9,9 +9,9 @@ import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.experiments.__main__ import main
-from concord.experiments.results.folder import read_description
+from concord.features.hosts.access_control import ROUTER_NAME, certificate_name
+from concord.results.folder import read_description
 from concord.runtime.drivers import in_memory
-from concord.runtime.network.access_control import ROUTER_NAME, certificate_name
 from concord.runtime.network.links import ZenohEndpoints, free_ports
 from concord.runtime.network.zenoh_transport import LinkError, Transport
 from concord.runtime.recorded import meaning
@@ -19,8 +19,8 @@ from concord.runtime.recording import read_recording
 from tests.endurance.fuzz import REFUSED, believed
 from tests.endurance.intruder import BID, CUT, END, GONE, GRANT, LOST, WELCOME
 from tests.endurance.malformed import DAMAGED, JSON, malformed
-from tests.experiments.hosts import hosts
-from tests.experiments.test_hosts import await_network, needs_proc, write_setup
+from tests.features.hosts.hosts import hosts
+from tests.features.hosts.test_hosts import await_network, needs_proc, write_setup
 from tests.processes import PATIENCE_S, holds_within
 
 NODES, INSIDER, EACH = 4, 3, 600

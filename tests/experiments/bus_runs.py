@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 from concord.bus.bus import Bus
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 
 

@@ -155,7 +155,7 @@ BUGS = (
     ),
     Bug(
         "set membership forgets the noise of the plant",
-        "concord.nodes.rules.set_membership", "predict_sets",
+        "concord.features.sets.set_membership", "predict_sets",
         (("step), transition, noise)", "step), transition, 0 * noise)"),),
     ),
     Bug(

@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from concord.experiments.audit.report import audit
-from concord.experiments.results.folder import describe, write_arrays
-from concord.experiments.results.trace import Trace, read_trace
+from concord.results.folder import describe, write_arrays
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_this_process
 from concord.runtime.recording import read_recording
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.studies.audit.report import audit
 
 
 def scenario(name: str = "oscillator", **changes) -> Scenario:

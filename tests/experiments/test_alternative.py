@@ -6,14 +6,14 @@ from typing import Any
 import msgspec
 import pytest
 
-from concord.experiments.results.alternative import in_words, labelled_beside
-from concord.experiments.results.summary import Figures, summarise
-from concord.experiments.results.summary_table import opening
-from concord.experiments.results.trace import Trace, read_trace
+from concord.results.figures.summary import Figures, summarise
+from concord.results.figures.summary_table import opening
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
+from concord.studies.alternative import in_words, labelled_beside
 
 pytestmark = pytest.mark.slow
 

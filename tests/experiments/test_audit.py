@@ -12,16 +12,16 @@ import xarray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.audit.member_history import member_history_of
-from concord.experiments.audit.promises import PROMISES
-from concord.experiments.audit.report import _around, audit
 from concord.experiments.cli.command_line import main
-from concord.experiments.results.folder import ARRAYS, RECORDING, describe, write_arrays
-from concord.experiments.results.trace import read_trace
 from concord.nodes.messages import Timing, encode
+from concord.results.folder import ARRAYS, RECORDING, describe, write_arrays
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
 from concord.scenarios.types.frame_formats import frame_format
+from concord.studies.audit.member_history import member_history_of
+from concord.studies.audit.promises import PROMISES
+from concord.studies.audit.report import _around, audit
 from tests.experiments.support import scenario, small
 
 pytestmark = pytest.mark.slow

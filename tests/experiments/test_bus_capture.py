@@ -10,21 +10,21 @@ import pytest
 import xarray
 
 from concord.bus.captured import Captured
-from concord.bus.flexray.files.cluster_files import cluster_to_toml
+from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import read_frame
-from concord.bus.recordings.pcap import packet
-from concord.experiments.results.bus_capture import capture, traffic_of
-from concord.experiments.results.bus_report import figures_of
-from concord.experiments.results.node_capture import node_capture
-from concord.experiments.results.trace import read_trace
+from concord.bus.pcap import packet
+from concord.results.bus.bus_capture import capture, traffic_of
+from concord.results.bus.bus_report import figures_of
+from concord.results.bus.node_capture import node_capture
+from concord.results.records.trace import read_trace
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
 from concord.scenarios.setup import Setup
 from tests.experiments.bus_runs import run
-from tests.experiments.flexray_support import concord, dissect, needs_tshark, refused
+from tests.features.flexray_tools.flexray_support import concord, dissect, needs_tshark, refused
 
 # --- what a run leaves -------------------------------------------------------------------------
 

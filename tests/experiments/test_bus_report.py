@@ -15,8 +15,8 @@ from concord.bus.flexray.slot_table import allocate
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
 from concord.bus.urgency_classes import ONE_CLASS
-from concord.experiments.flexray.rehearsal import rehearse
-from concord.experiments.results.bus_report import (
+from concord.features.flexray_tools.commands.rehearsal import rehearse
+from concord.results.bus.bus_report import (
     bus_figures,
     bus_times,
     figures_of,
@@ -24,12 +24,12 @@ from concord.experiments.results.bus_report import (
     longest_waits,
     timetable,
 )
-from concord.experiments.results.sent_shares import SentShares
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_with_known
+from concord.results.bus.sent_shares import SentShares
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_with_known
 from concord.scenarios.setup import Setup
 
 # --- by hand -----------------------------------------------------------------------------------

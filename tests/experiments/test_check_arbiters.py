@@ -7,7 +7,7 @@ import pytest
 
 from concord.bus.arbitration import ARBITERS, Arbiter, lowest_frame_id
 from concord.experiments.__main__ import main
-from concord.experiments.conformance.arbiter_promises import (
+from concord.studies.check.arbiter_promises import (
     ARBITER_PROMISES,
     CheckedArbiter,
     checked_arbiter,

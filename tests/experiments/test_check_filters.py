@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.conformance.filter_promises import FILTER_PROMISES
 from concord.scenarios.types.filters import FILTER_SUMMARIES
+from concord.studies.check.filter_promises import FILTER_PROMISES
 from tests.experiments.test_check_rules import checked
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from concord.experiments.cli.command_line import main
-from concord.experiments.conformance.rule_promises import RULE_PROMISES
+from concord.studies.check.rule_promises import RULE_PROMISES
 from tests.pages import ROOT, blocks
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from concord.experiments.cli.command_line import main
-from concord.experiments.conformance.scenario_promises import SCENARIO_PROMISES
+from concord.studies.check.scenario_promises import SCENARIO_PROMISES
 from tests.experiments.test_check_rules import checked
 
 WRONG = f"{Path(__file__).parent}/wrong_scenarios.py"

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.sweep.dask_workers import connect
-from concord.experiments.sweep.results import read_result
-from concord.experiments.sweep.run import begin, finish
-from concord.experiments.sweep.specification import specify
-from concord.experiments.sweep.workers import WorkerLost
+from concord.studies.sweep.dask_workers import connect
+from concord.studies.sweep.results import read_result
+from concord.studies.sweep.run import begin, finish
+from concord.studies.sweep.specification import specify
+from concord.studies.sweep.workers import WorkerLost
 from tests.experiments.units import DEPLOY
 from tests.processes import PATIENCE_S, family
 
@@ -260,7 +260,7 @@ def test_a_lost_scheduler_is_one_line_with_the_command_that_goes_on(
         def lose(*_: object) -> None:
             cluster.sync(cluster.scheduler.close)
 
-        monkeypatch.setattr("concord.experiments.sweep.run.save_arrays", lose)
+        monkeypatch.setattr("concord.studies.sweep.run.save_arrays", lose)
         with pytest.raises(SystemExit) as end:
             main(words)
     said = capsys.readouterr().err
@@ -275,8 +275,8 @@ def test_a_scheduler_that_stays_without_workers_ends_the_sweep(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("concord.experiments.sweep.dask_workers._WITHOUT_WORKERS_S", 2.0)
-    monkeypatch.setattr("concord.experiments.sweep.dask_workers._LOOK_EVERY_S", 1.0)
+    monkeypatch.setattr("concord.studies.sweep.dask_workers._WITHOUT_WORKERS_S", 2.0)
+    monkeypatch.setattr("concord.studies.sweep.dask_workers._LOOK_EVERY_S", 1.0)
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=None, protocol="tcp://",
         local_directory=str(tmp_path), processes=False,

@@ -13,7 +13,7 @@ import pytest
 from concord._version import __version__
 from concord.experiments.cli.command_line import COMMANDS, GROUPS, main
 from concord.experiments.repeated_options import refuse_repeated
-from tests.experiments.flexray_support import concord, refused
+from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")

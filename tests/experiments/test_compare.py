@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import concord as cc
-from concord.experiments.compare import entries as entries_module
-from concord.experiments.compare.entries import asked_cases, entries_of
-from concord.experiments.compare.results import comparison_figures
-from concord.experiments.compare.run import KEPT, compute_missing, kept_before
-from concord.experiments.compare.suite import SUITE
-from concord.experiments.compare.tables import latex
-from concord.experiments.sweep.workers import in_this_process
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.types.rules import RULE_SUMMARIES
-from tests.experiments.flexray_support import concord
+from concord.studies.compare import entries as entries_module
+from concord.studies.compare.entries import asked_cases, entries_of
+from concord.studies.compare.results import comparison_figures
+from concord.studies.compare.run import KEPT, compute_missing, kept_before
+from concord.studies.compare.suite import SUITE
+from concord.studies.compare.tables import latex
+from concord.studies.sweep.workers import in_this_process
+from tests.features.flexray_tools.flexray_support import concord
 from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.preparation import complete_settings, prepare
 from concord.scenarios.script import script_of
-from tests.experiments.flexray_support import concord
+from tests.features.flexray_tools.flexray_support import concord
 
 pytestmark = pytest.mark.slow
 

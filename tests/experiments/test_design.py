@@ -14,25 +14,25 @@ from rich.console import Console
 from concord.bus.schedule import publishers_per_cycle
 from concord.experiments.__main__ import main
 from concord.experiments.cli.design import lines, table
-from concord.experiments.design.candidates import Cost, candidates_of
-from concord.experiments.design.results import design_of, nearest, read_design
-from concord.experiments.design.search import FRESH_RUN, Found, SearchTask, search
-from concord.experiments.design.space import (
+from concord.runtime.json_file import write_json
+from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.assignment import flat
+from concord.scenarios.types.buses import occupancy_of
+from concord.studies.design.candidates import Cost, candidates_of
+from concord.studies.design.results import design_of, nearest, read_design
+from concord.studies.design.search import FRESH_RUN, Found, SearchTask, search
+from concord.studies.design.space import (
     OPEN,
     coarse_grid,
     neighbours_of,
     placements_of,
     space_of,
 )
-from concord.experiments.design.target import BusLimits, DesignTarget, error_of, parse_target
-from concord.experiments.sweep.pieces import Piece
-from concord.experiments.sweep.specification import shown, specify
-from concord.runtime.json_file import write_json
-from concord.scenarios.bus_plan import build_schedule
-from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.assignment import flat
-from concord.scenarios.types.buses import occupancy_of
-from tests.experiments.flexray_support import concord
+from concord.studies.design.target import BusLimits, DesignTarget, error_of, parse_target
+from concord.studies.sweep.pieces import Piece
+from concord.studies.sweep.specification import shown, specify
+from tests.features.flexray_tools.flexray_support import concord
 
 pytestmark = pytest.mark.slow
 

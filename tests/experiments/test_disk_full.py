@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
-from concord.experiments.results.folder import ARRAYS, RECORDING, read_description
-from concord.experiments.results.palette import save
-from concord.experiments.results.trace import read_trace
-from concord.experiments.sweep.store import folder_of, load_arrays, save_arrays
+from concord.results.folder import ARRAYS, RECORDING, read_description
+from concord.results.palette import save
+from concord.results.records.trace import read_trace
 from concord.runtime.disk import NotWritten
 from concord.runtime.recording import McapRecorder, read_recording
+from concord.studies.sweep.store import folder_of, load_arrays, save_arrays
 from tests.processes import CONCORD, PROC, family
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from concord.experiments.doctor import checks as doctor
 from concord.experiments.doctor import machine as doctor_machine
 from concord.experiments.doctor.finding import Finding, Verdict
 from concord.runtime.network.zenoh_transport import LinkError
-from tests.experiments.flexray_support import concord, refused
+from tests.features.flexray_tools.flexray_support import concord, refused
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
 

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.results.timing_figures import peak_ages_s
 from concord.nodes.changes import Event, Gone, Joined
 from concord.nodes.history import history_of
+from concord.results.figures.timing_figures import peak_ages_s
 
 NAN = np.nan
 STEP_S = 0.1

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from concord.experiments.cli import dashboard as dashboard_command
-from concord.experiments.sweep.store import folder_of, load_arrays, save_arrays
 from concord.runtime.network.network_file import NetworkAddresses, read_network, write_network
-from tests.experiments.flexray_support import concord
-from tests.experiments.test_hosts import write_setup
+from concord.studies.sweep.store import folder_of, load_arrays, save_arrays
+from tests.features.flexray_tools.flexray_support import concord
+from tests.features.hosts.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 
 _LISTENING = "0A"

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.few_samples import (
+from concord.experiments.python_api import simulate
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.few_samples import (
     LEAST_RUNS,
     LEAST_STEPS,
     decisive_run,
     few_runs,
     few_steps,
 )
-from concord.experiments.python_api import simulate
-from concord.experiments.scenario_options import scenario_of
-from tests.experiments.flexray_support import concord
+from tests.features.flexray_tools.flexray_support import concord
 
 OSCILLATOR = ("--scenario", "oscillator", "--nodes", "3")
 FIRST = 20  # the step from which the oscillator is scored

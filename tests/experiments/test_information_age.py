@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from concord.experiments.cli.design import lines
-from concord.experiments.design.candidates import placed
-from concord.experiments.design.information_age import information_age, worst_age
-from concord.experiments.design.results import design_of
-from concord.experiments.design.search import SearchTask, search
-from concord.experiments.design.space import placements_of, space_of
-from concord.experiments.design.target import parse_target
-from concord.experiments.sweep.pieces import Piece
-from concord.experiments.sweep.specification import specify
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.scenario import Scenario
+from concord.studies.design.candidates import placed
+from concord.studies.design.information_age import information_age, worst_age
+from concord.studies.design.results import design_of
+from concord.studies.design.search import SearchTask, search
+from concord.studies.design.space import placements_of, space_of
+from concord.studies.design.target import parse_target
+from concord.studies.sweep.pieces import Piece
+from concord.studies.sweep.specification import specify
 from tests.experiments.test_design import engine_of
 
 pytestmark = pytest.mark.slow

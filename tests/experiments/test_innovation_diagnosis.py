@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from concord.experiments.results.innovations.channel_test import (
+from concord.results.innovations.channel_test import (
     LEAST_UPDATES,
     channel_test,
     nis_interval,
 )
-from concord.experiments.results.innovations.diagnosis import (
+from concord.results.innovations.diagnosis import (
     FALSE_ALARMS,
     Cause,
     Channel,

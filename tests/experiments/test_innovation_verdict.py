@@ -10,21 +10,21 @@ import xarray
 from rich.console import Console
 
 from concord.experiments.__main__ import main
-from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
-from concord.experiments.results import near_agreement
-from concord.experiments.results.innovations.channel_test import ChannelTest
-from concord.experiments.results.innovations.diagnosis import Cause, Channel, Diagnosis
-from concord.experiments.results.innovations.of_run import channel_table, run_innovations
-from concord.experiments.results.innovations.sentence import innovation_verdict
-from concord.experiments.results.innovations.slip_evidence import SlipEvidence
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.run_verdict import consistency_in_words
-from concord.experiments.results.summary import Figures, summarise
-from concord.experiments.results.summary_table import lines
-from concord.experiments.results.trace import read_trace
+from concord.features.vehicle.slip_evidence import SlipEvidence
+from concord.results.figures.intervals import Interval
+from concord.results.figures.summary import Figures, summarise
+from concord.results.figures.summary_table import lines
+from concord.results.innovations.channel_test import ChannelTest
+from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
+from concord.results.innovations.of_run import channel_table, run_innovations
+from concord.results.innovations.sentence import innovation_verdict
+from concord.results.records.trace import read_trace
+from concord.results.run_verdict import consistency_in_words
 from concord.runtime.drivers import in_memory
 from concord.scenarios.setup import Setup
+from concord.studies import near_agreement
+from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
+from concord.studies.near_agreement import departures
 from tests.experiments.support import scenario, small
 
 pytestmark = pytest.mark.slow

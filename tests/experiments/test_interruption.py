@@ -18,11 +18,11 @@ import pytest
 import xarray
 from mcap.reader import make_reader
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
-from concord.experiments.results.trace import read_trace
+from concord.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
+from concord.results.records.trace import read_trace
 from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import read_recording
+from concord.studies.monte_carlo.simulate import simulate
 from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
 
 pytestmark = [

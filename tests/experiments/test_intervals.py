@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis.extra.numpy import arrays
 
-from concord.experiments.monte_carlo.intervals import (
+from concord.results.figures.intervals import (
     METHODS,
     Interval,
     mean_bootstrap,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import concord as cc
-from concord.experiments.sweep.store import folder_of
+from concord.studies.sweep.store import folder_of
 from tests.pages import ROOT
 from tests.processes import PATIENCE_S, holds_within
 
@@ -27,7 +27,7 @@ WORDS = [
 # A worker writes the name of a piece that it begins; Dask runs this file twice in a process.
 TOLD = """
 import os
-from concord.experiments.sweep import pieces
+from concord.studies.sweep import pieces
 def told(piece, compute=pieces.compute):
     with open(os.environ["BEGUN"], "a") as file:
         file.write(pieces.digest_of(piece, {}, pieces.program()) + "\\n")

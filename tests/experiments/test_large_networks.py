@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo import simulate as batched
-from concord.experiments.monte_carlo.histories import Histories
-from concord.experiments.monte_carlo.simulate import COV, simulate
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.histories import Histories
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.monte_carlo import simulate as batched
+from concord.studies.monte_carlo.simulate import COV, simulate
 
 pytestmark = pytest.mark.slow
 

@@ -9,16 +9,16 @@ import xarray
 
 import concord as cc
 from concord.experiments.__main__ import main
-from concord.experiments.sweep import pieces as pieces_module
-from concord.experiments.sweep.cells import MOST_WITH_HISTORIES, with_keep
-from concord.experiments.sweep.merge import merge_shards
-from concord.experiments.sweep.run import Shard, begin, finish
-from concord.experiments.sweep.specification import Specification, specify
-from concord.experiments.sweep.store import folder_of
-from concord.experiments.sweep.summary import figures_of
-from concord.experiments.sweep.workers import in_this_process
-from concord.plants.vehicle.drive_log import write_drive
-from tests.experiments.identification.simulated_log import TRUE, simulated_log
+from concord.features.vehicle.plant.drive_log import write_drive
+from concord.studies.sweep import pieces as pieces_module
+from concord.studies.sweep.cells import MOST_WITH_HISTORIES, with_keep
+from concord.studies.sweep.merge import merge_shards
+from concord.studies.sweep.run import Shard, begin, finish
+from concord.studies.sweep.specification import Specification, specify
+from concord.studies.sweep.store import folder_of
+from concord.studies.sweep.summary import figures_of
+from concord.studies.sweep.workers import in_this_process
+from tests.features.vehicle.identification.simulated_log import TRUE, simulated_log
 
 pytestmark = pytest.mark.slow
 

@@ -6,9 +6,9 @@ import pytest
 from concord.experiments.simulation_testing.lives.case import draw_lives
 from concord.experiments.simulation_testing.lives.case_run import run_lives
 from concord.experiments.simulation_testing.lives.virtual_clock import VirtualClock
-from tests.experiments.flexray_support import concord
 from tests.experiments.lives_bugs import LIVES_BUGS, MOST_SEEDS, run_seed
 from tests.experiments.planted_bugs import Bug, first_found
+from tests.features.flexray_tools.flexray_support import concord
 
 pytestmark = pytest.mark.slow
 

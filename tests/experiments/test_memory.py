@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments import memory
-from concord.experiments.memory import check_memory, check_workers, needed_bytes
-from concord.experiments.monte_carlo.histories import Histories
-from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.python_api import simulate as simulate_in_python
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.histories import Histories
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.preparation import prepare
-from tests.experiments.flexray_support import concord, refused
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies import memory
+from concord.studies.memory import check_memory, check_workers, needed_bytes
+from concord.studies.monte_carlo.simulate import simulate
+from tests.features.flexray_tools.flexray_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

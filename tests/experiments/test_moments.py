@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.intervals import positive_mean_t, ratio_t
-from concord.experiments.monte_carlo.moments import (
+from concord.results.figures.intervals import positive_mean_t, ratio_t
+from concord.studies.monte_carlo.moments import (
     PAIR_STATISTICS,
     QUANTILES,
     STATISTICS,
@@ -12,7 +12,7 @@ from concord.experiments.monte_carlo.moments import (
     reduced,
     statistics_of,
 )
-from concord.experiments.sweep.pieces import CellParts, Piece
+from concord.studies.sweep.pieces import CellParts, Piece
 
 RUNS, STEPS = 37, 3
 NAMES = ("rmse", "rmse_centralised", "share_age", "error", "bound")

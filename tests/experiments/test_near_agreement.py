@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import Trace, read_trace
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
+from concord.studies.near_agreement import departures
 from tests.experiments.support import small
 
 SETUP = small(steps=5, schedule="hybrid", occupancy=0.5)

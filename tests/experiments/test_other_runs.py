@@ -12,15 +12,15 @@ import pytest
 
 from concord.dashboard.frames.replay import assembled
 from concord.dashboard.frames.stage import set_stage
-from concord.experiments.monte_carlo import other_runs
-from concord.experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
-from concord.experiments.monte_carlo.run_figures import figures_of
-from concord.experiments.monte_carlo.run_frame import frame_of
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.priority import give_way
+from concord.experiments import other_runs
+from concord.experiments.other_runs import OtherRuns, Question, expected, told_by
+from concord.results.figures.run_figures import figures_of
+from concord.results.figures.run_frame import frame_of
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
+from concord.studies.monte_carlo.simulate import simulate
+from concord.studies.priority import give_way
 from tests.dashboard.runs import setup_of
 from tests.processes import holds_within
 
@@ -78,7 +78,7 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
 def test_the_process_ends_with_whoever_asked():
     question = Question(setup_of("oscillator", nodes=8, steps=5000), sparing=True)
     process = subprocess.Popen(
-        [sys.executable, "-m", "concord.experiments.monte_carlo.other_runs"],
+        [sys.executable, "-m", "concord.experiments.other_runs"],
         cwd=ROOT,
         stdin=subprocess.PIPE,
     )

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.folder import read_description
-from concord.experiments.results.trace import Trace
 from concord.nodes.changes import Event, Gone, Joined
 from concord.nodes.messages import decode
+from concord.results.folder import read_description
+from concord.results.records.trace import Trace
 from concord.runtime.recording import read_recording
-from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
+from tests.features.hosts.hosts import hosts
 from tests.namespaces import Lan, lan
 from tests.processes import PROC, Family, family, holds_within
 

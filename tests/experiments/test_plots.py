@@ -14,14 +14,14 @@ import pytest
 import xarray
 
 from concord.experiments.__main__ import main
-from concord.experiments.design.results import read_design
-from concord.experiments.results.netcdf_file import write_dataset
-from concord.experiments.results.palette import COLOURS
-from concord.experiments.results.run_plots import run_figures
-from concord.experiments.sweep.run import begin, finish
-from concord.experiments.sweep.specification import specify
-from concord.experiments.sweep.workers import in_this_process
-from tests.experiments.flexray_support import concord, refused
+from concord.results.palette import COLOURS
+from concord.results.records.netcdf_file import write_dataset
+from concord.results.run_plots import run_figures
+from concord.studies.design.results import read_design
+from concord.studies.sweep.run import begin, finish
+from concord.studies.sweep.specification import specify
+from concord.studies.sweep.workers import in_this_process
+from tests.features.flexray_tools.flexray_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

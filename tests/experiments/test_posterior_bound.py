@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
-from concord.experiments.scenario_options import scenario_of
 from concord.nodes.rules.local_filter import SensorGroup
+from concord.results.figures.posterior_bound import Truths, posterior_bound
 from concord.scenarios.baselines import centralised
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.streams import generator
 
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from concord.experiments import progress as module
 from concord.experiments.__main__ import main
-from concord.experiments.progress import progress, time_left
+from concord.studies import progress as module
+from concord.studies.progress import progress, time_left
 
 
 class Clock:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import concord as cc
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.scenario_options import scenario_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.monte_carlo.simulate import simulate
 
 SMALL = cc.scenario("oscillator", nodes=3, steps=25, graph="path")
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.agreement import first_difference
-from concord.experiments.results.timing_figures import TimingFigures, figures_of, lines
 from concord.nodes.changes import Calm, Cut, Fault
 from concord.nodes.commands import Answer, in_words
 from concord.nodes.messages import Grant, Timing, decode, encode, topic
 from concord.nodes.tempo import Tempo
+from concord.results.figures.timing_figures import TimingFigures, figures_of, lines
 from concord.runtime.drivers import in_this_process
 from concord.runtime.network.control_client import Client
 from concord.runtime.processes.job import Happened
@@ -20,6 +19,7 @@ from concord.runtime.processes.launcher import run_processes
 from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
+from concord.studies.agree import first_difference
 from tests.experiments.support import small, trace_of
 
 # In cycles of 20 ms a busy machine makes most nodes late; these last 100 ms, steps 300 ms.

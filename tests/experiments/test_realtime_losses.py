@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.share_frames import read_frame
-from concord.experiments.results.timing_figures import TimingFigures, figures_of
-from concord.experiments.results.trace import Trace
 from concord.nodes.changes import Event, Gone, Joined, Left
 from concord.nodes.commands import in_words
 from concord.nodes.messages import decode
 from concord.nodes.tempo import Tempo
+from concord.results.figures.timing_figures import TimingFigures, figures_of
+from concord.results.records.trace import Trace
 from concord.scenarios.build import build_environment
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of

@@ -8,19 +8,19 @@ import pytest
 from concord.bus.information_age import worst_contended_age_steps
 from concord.bus.longest_wait import LongestWait
 from concord.bus.schedule import dynamic_only
-from concord.experiments.design.information_age import record_lag_steps
-from concord.experiments.results.record_spread import NEVER, RecordSpread, figures_of
-from concord.experiments.results.record_spread import lines as words_of
-from concord.experiments.results.summary import summarise
-from concord.experiments.results.summary_table import details
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.figures.summary import summarise
+from concord.results.figures.summary_table import details
+from concord.results.records.record_spread import NEVER, RecordSpread, figures_of
+from concord.results.records.record_spread import lines as words_of
+from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.drivers import drive
 from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.design.information_age import record_lag_steps
 
 
 def setup_of(**options) -> Setup:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray
 
-from concord.experiments.results.folder import (
+from concord.filters.metrics import nees
+from concord.results.folder import (
     ARRAYS,
     DESCRIPTION,
     describe,
@@ -17,8 +18,7 @@ from concord.experiments.results.folder import (
     write_arrays,
     write_description,
 )
-from concord.experiments.results.trace import read_trace
-from concord.filters.metrics import nees
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.scenario import Scenario
 from tests.experiments.support import small

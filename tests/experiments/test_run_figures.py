@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.convergence import settling_interval, settling_steps
-from concord.experiments.monte_carlo.energy import energy_per_bit_nj
-from concord.experiments.monte_carlo.figure_table import FIGURES
-from concord.experiments.monte_carlo.pareto import front
-from concord.experiments.monte_carlo.run_figures import figures_of
-from concord.experiments.monte_carlo.run_frame import frame_of
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.summary import summarise
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.figures.energy import energy_per_bit_nj
+from concord.results.figures.figure_table import FIGURES
+from concord.results.figures.run_figures import figures_of
+from concord.results.figures.run_frame import frame_of
+from concord.results.figures.summary import summarise
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.scenario_options import scenario_of
+from concord.studies.monte_carlo.convergence import settling_interval, settling_steps
+from concord.studies.monte_carlo.pareto import front
+from concord.studies.monte_carlo.simulate import simulate
 
 CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")
 CASES = [

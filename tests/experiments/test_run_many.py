@@ -7,19 +7,19 @@ import pytest
 import xarray
 from scipy.stats import t
 
-from concord.experiments.monte_carlo.histories import Histories
-from concord.experiments.monte_carlo.many_figures import RunCost, lines, summarise
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.summary import Figures
-from concord.experiments.results.summary import summarise as summarise_one
-from concord.experiments.results.trace import read_trace
+from concord.results.figures.summary import Figures
+from concord.results.figures.summary import summarise as summarise_one
+from concord.results.records.histories import Histories
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
-from tests.experiments.flexray_support import Said, concord
+from concord.studies.monte_carlo.many_figures import RunCost, lines, summarise
+from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.support import small
+from tests.features.flexray_tools.flexray_support import Said, concord
 
 RUNS = range(2, 5)
 SETUPS = {
@@ -123,7 +123,7 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("concord.experiments.monte_carlo.run_many.simulate", interrupted)
+    monkeypatch.setattr("concord.studies.monte_carlo.run_many.simulate", interrupted)
     said = run(capsys, "--driver", "batched", "--out", tmp_path / "many")
     assert said.code == 130 and "is removed" in said.err
     assert not (tmp_path / "many").exists()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.results.run_verdict import (
+from concord.results.figures.intervals import Interval
+from concord.results.run_verdict import (
     BATCHES,
     anees_interval,
     consistency_in_words,

@@ -10,7 +10,6 @@ import pytest
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import SHARE_FRAMES, to_frames
 from concord.experiments.cli.command_line import main
-from concord.experiments.results.trace import read_trace
 from concord.experiments.simulation_testing.broken import Broken
 from concord.experiments.simulation_testing.case import SimulationCase
 from concord.experiments.simulation_testing.case_run import run_case
@@ -21,13 +20,14 @@ from concord.experiments.simulation_testing.shrink import replay_command, run_co
 from concord.experiments.simulation_testing.verdict import EstimateHistory, check_consistency
 from concord.experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
 from concord.nodes.faults.vocabulary import EVERY_FAULT
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from concord.scenarios.types.assignment import flat
-from tests.experiments.flexray_support import Said, concord
 from tests.experiments.planted_bugs import BUGS, Bug, first_found, likely_seeds, planted
 from tests.experiments.support import scenario
+from tests.features.flexray_tools.flexray_support import Said, concord
 
 pytestmark = pytest.mark.slow
 

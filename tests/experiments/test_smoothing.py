@@ -8,14 +8,14 @@ import pytest
 import xarray
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.smoothing import (
+from concord.filters.gaussian import Gaussian
+from concord.results.records.trace import read_trace
+from concord.results.smoothing import (
     SMOOTHED,
     Smoothed,
     smoothed_of,
     smoothing_figures,
 )
-from concord.experiments.results.trace import read_trace
-from concord.filters.gaussian import Gaussian
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.preparation import prepare

@@ -11,9 +11,9 @@ import xarray
 from rich.console import Console
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.summary import Figures, summarise
-from concord.experiments.results.summary_table import lines, opening, table
-from concord.experiments.results.trace import read_trace
+from concord.results.figures.summary import Figures, summarise
+from concord.results.figures.summary_table import lines, opening, table
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import read_recording
 from concord.scenarios.preparation import prepare

@@ -11,13 +11,13 @@ import pytest
 import xarray
 
 from concord.experiments.__main__ import main
-from concord.experiments.sweep.engines import engine_for
-from concord.experiments.sweep.results import read_result
-from concord.experiments.sweep.run import Swept, begin, finish
-from concord.experiments.sweep.specification import Specification, specify
-from concord.experiments.sweep.store import folder_of
-from concord.experiments.sweep.summary import figures_of
-from concord.experiments.sweep.workers import in_this_process
+from concord.studies.sweep.engines import engine_for
+from concord.studies.sweep.results import read_result
+from concord.studies.sweep.run import Swept, begin, finish
+from concord.studies.sweep.specification import Specification, specify
+from concord.studies.sweep.store import folder_of
+from concord.studies.sweep.summary import figures_of
+from concord.studies.sweep.workers import in_this_process
 from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow

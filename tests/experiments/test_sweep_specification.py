@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep.cells import checked_cells, difference
-from concord.experiments.sweep.options import FieldOptions
-from concord.experiments.sweep.specification import FIELDS, Range, cells_of, specify
+from concord.experiments.sweep_options import FieldOptions
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.types.assignment import flat
+from concord.studies.sweep.cells import checked_cells, difference
+from concord.studies.sweep.specification import FIELDS, Range, cells_of, specify
 
 
 def test_every_combination_in_order_the_last_field_fastest():

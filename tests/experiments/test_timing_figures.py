@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.bus.flexray.share_frames import cycle_of
-from concord.experiments.results.timing_figures import figures_of
 from concord.nodes.messages import Estimate, Timing, decode, encode, topic
 from concord.nodes.tempo import Tempo
+from concord.results.figures.timing_figures import figures_of
 from concord.runtime.processes.clock import EnvironmentClock
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of

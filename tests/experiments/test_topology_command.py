@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.topology.convergence import convergence
-from concord.experiments.topology.report import losses_of, suspects
-from concord.experiments.topology.subject import SubjectOptions, subject_of
 from concord.scenarios.observability import observability, rank
+from concord.studies.topology.convergence import convergence
+from concord.studies.topology.report import losses_of, suspects
+from concord.studies.topology.subject import SubjectOptions, subject_of
 from concord.topology.analysis import analyse
 from concord.topology.graph_files import read_network
-from tests.experiments.flexray_support import concord
 from tests.experiments.support import small
+from tests.features.flexray_tools.flexray_support import concord
 
 pytestmark = pytest.mark.slow
 

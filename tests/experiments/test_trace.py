@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.share_frames import read_frame
-from concord.experiments.agreement import first_difference
-from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.changes import Event, Gone
 from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode, encode, from_wire
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
+from concord.studies.agree import first_difference
 from tests.experiments.support import small
 
 SETUPS = {

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import read_trace
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
-from tests.experiments.flexray_support import concord, refused
+from concord.studies.near_agreement import departures
 from tests.experiments.support import scenario
+from tests.features.flexray_tools.flexray_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.folder import RECORDING
-from tests.experiments.flexray_support import concord, refused
+from concord.results.folder import RECORDING
+from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.processes import PROC
 
 # By command, options and what is said of them.

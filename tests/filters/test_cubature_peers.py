@@ -5,11 +5,11 @@ from functools import partial
 
 import numpy as np
 
+from concord.features.vehicle.plant.model import linear_tyre, single_track
+from concord.features.vehicle.plant.parameters import BMW_320I
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import cubature
-from concord.plants.vehicle.model import linear_tyre, single_track
-from concord.plants.vehicle.parameters import BMW_320I
 from tests.filters.support import (
     TURN_NOISE_COV,
     TURN_START,

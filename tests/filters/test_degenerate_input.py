@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from concord.features.vehicle.adaptive import correntropy, sage_husa
+from concord.features.vehicle.adaptive.adaptive_filter import AdaptiveFilter
+from concord.features.vehicle.adaptive.fuzzy_noise import FuzzyMatching
+from concord.features.vehicle.adaptive.sage_husa import SageHusa
+from concord.features.vehicle.plant.model import linear_tyre, single_track
+from concord.features.vehicle.plant.parameters import BMW_320I
 from concord.filters import ukf
-from concord.filters.adaptive import correntropy, sage_husa
-from concord.filters.adaptive.adaptive_filter import AdaptiveFilter
-from concord.filters.adaptive.fuzzy_noise import FuzzyMatching
-from concord.filters.adaptive.sage_husa import SageHusa
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import cubature, scaled_unscented
@@ -22,8 +24,6 @@ from concord.filters.update import Update
 from concord.papers.adlukf import adaptive_filters as adaptive
 from concord.papers.adlukf import dual_layer
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from concord.plants.vehicle.model import linear_tyre, single_track
-from concord.plants.vehicle.parameters import BMW_320I
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 R = np.diag([0.1, 0.005, 0.1]) ** 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from concord.filters.adaptive import correntropy
+from concord.features.vehicle.adaptive import correntropy
 from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter, Linearising
 from concord.filters.gaussian import Gaussian

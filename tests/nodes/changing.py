@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from concord.experiments.results.trace import Trace, read_trace
 from concord.nodes.commands import in_words
 from concord.nodes.run_controller import Scripted
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node

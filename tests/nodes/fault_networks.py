@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from concord.experiments.results.trace import Trace
+from concord.results.records.trace import Trace
 from concord.scenarios.setup import Setup
 from tests.experiments.support import small
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.monte_carlo.simulate import COV, simulate
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes import mixing as batched_mixing
 from concord.nodes.lanes.beliefs import BatchedBeliefs
@@ -15,6 +14,7 @@ from concord.nodes.lanes.links import Shares, links_of
 from concord.nodes.lanes.mixing import FEW_NODES, mixed, weighed
 from concord.runtime.batched.build import build_network
 from concord.scenarios.preparation import prepare
+from concord.studies.monte_carlo.simulate import COV, simulate
 from tests.experiments.support import scenario
 
 SIZES = st.one_of(st.integers(1, 9), st.just(FEW_NODES + 1))

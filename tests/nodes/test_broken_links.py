@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from concord.experiments.agreement import first_difference
 from concord.runtime.network.links import ENVIRONMENT, RECORDER, free_ports, names
 from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
+from concord.studies.agree import first_difference
 from tests.experiments.support import reference, small, trace_of
 from tests.processes import PROC, Family, family
 from tests.relay import Relay

@@ -8,7 +8,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from concord.experiments.results.trace import Trace
 from concord.filters.gaussian import Gaussian
 from concord.nodes import node as state_machine
 from concord.nodes import node_changes
@@ -31,6 +30,7 @@ from concord.nodes.history import AbsentSteps, Epoch, history_of
 from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from concord.nodes.node import initial_state
 from concord.nodes.run_controller import ProcessStarter, RunController
+from concord.results.records.trace import Trace
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.preparation import complete_settings, prepare
 from concord.scenarios.setup import Setup

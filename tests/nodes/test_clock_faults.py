@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from concord.bus.clocks import ClockDrift
-from concord.bus.flexray.files.cluster_files import cluster_to_toml
+from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.presets import DEMO
 from concord.nodes.changes import Gone, Loss

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.fragments import join
-from concord.experiments.results.trace import Trace
 from concord.nodes import node as state_machine
 from concord.nodes.changes import Fault, Standing
 from concord.nodes.faults.vocabulary import EVERY_FAULT, FAULTS
 from concord.nodes.messages import Measured, ShareHeard
+from concord.results.records.trace import Trace
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.setup import Setup
 from tests.nodes.changing import messages, run, same_bits

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.monte_carlo.smoothed_errors import lagged, shown_lags
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.nodes.rules.local_filter import Model
+from concord.results.figures.smoothed_errors import lagged, shown_lags
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised, centralised_past
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 
 EXACT = {"rule": "labelled", "record_number": "float64", "stretch": 100.0}
 

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from concord.features.recorded.sighting import Sighting
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
@@ -13,7 +14,6 @@ from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, Lab
 from concord.nodes.rules.labelled.record_codec import PACKED, RecordCodec, record_codec
 from concord.nodes.rules.labelled.record_sets import packed
 from concord.plants.range_bearing import RangeBearing
-from concord.plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov
 
 NUMBERS = ("<i1", "<i2", PACKED, "<f4", "<f8")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.results.trace import read_trace
 from concord.nodes.messages import ShareHeard
+from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import build_network
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import complete_settings, prepare, with_settings

@@ -5,12 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.monte_carlo.simulate import INNOVATIONS, READINGS, simulate
-from concord.experiments.results.innovations.of_run import run_innovations
 from concord.filters.gaussian import Gaussian
 from concord.nodes.history import History
 from concord.plants.placement import site_text
 from concord.plants.targets import turning_target
+from concord.results.innovations.of_run import run_innovations
 from concord.runtime.batched.build import build_network
 from concord.scenarios.baselines import (
     BaselineContent,
@@ -23,6 +22,7 @@ from concord.scenarios.moves import with_moves
 from concord.scenarios.preparation import complete_settings, prepare, with_settings
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import INNOVATIONS, READINGS, simulate
 from tests.experiments.support import scenario
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import SEEDS, shuffled

@@ -9,11 +9,6 @@ import pytest
 from scipy.special import chdtri
 from scipy.stats import binom
 
-from concord.experiments.monte_carlo.histories import Histories
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.labelled_check import BatchedSelfChecked
@@ -22,11 +17,16 @@ from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY
 from concord.nodes.rules.labelled.self_check import SUSPECT, chi_square_bound
 from concord.nodes.rules.labelled.window_filter import Windows
+from concord.results.records.histories import Histories
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios import estimators
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
+from concord.studies.near_agreement import departures
 
 STEPS, LOST_STEP, LOST_NODE = 24, 12, 2
 # Beyond this a state of two numbers is wrong, whatever the noise.

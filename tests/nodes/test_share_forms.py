@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from concord.features.sets.set_shapes import Ellipsoids, set_form
 from concord.filters.fusion import hybrid_consensus
 from concord.filters.fusion.packed import pack, packed_length, unpack
 from concord.filters.gaussian import Gaussian, Information, to_information
 from concord.filters.linalg import unpack_upper
 from concord.nodes.belief_codec import belief_numbers, belief_of
-from concord.nodes.rules.set_shapes import Ellipsoids, set_form
 from concord.nodes.share_forms import (
     MEAN_REACH,
     ShareForm,

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from concord.experiments.monte_carlo.intervals import Interval
 from concord.papers.kit.claims import Claim
+from concord.results.figures.intervals import Interval
 
 # Numbers that break a claim: each figure of the evidence takes each of them in turn.
 BREAKING = (0.0, 1e-12, 1.0, -1.0, 3.0, 10.0, 1e9, -1e9)

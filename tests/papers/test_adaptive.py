@@ -5,16 +5,16 @@ from functools import partial
 import numpy as np
 import pytest
 
+from concord.features.vehicle.adaptive import sage_husa
+from concord.features.vehicle.plant.model import linear_tyre
+from concord.features.vehicle.plant.parameters import BMW_320I
 from concord.filters import ukf
-from concord.filters.adaptive import sage_husa
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import cubature, scaled_unscented
 from concord.papers.adlukf import adaptive_filters as adaptive
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from concord.papers.adlukf.filters import CONTESTANTS, StepInput
 from concord.papers.adlukf.small_angles import small_angles
-from concord.plants.vehicle.model import linear_tyre
-from concord.plants.vehicle.parameters import BMW_320I
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 STD = np.array([0.1, 0.005, 0.1])

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.experiments.results.trace import read_trace
+from concord.features.control.motor import motor_position
+from concord.features.control.networks import deal_outputs
 from concord.papers.wac import exact as study
 from concord.papers.wac.exact_covariance import (
     LinearNetwork,
@@ -22,10 +23,9 @@ from concord.papers.wac.exact_covariance import (
     propagate,
 )
 from concord.papers.wac.exact_rules import RULES
-from concord.plants.control.motor import motor_position
-from concord.plants.control.networks import deal_outputs
 from concord.plants.draws import Draws
 from concord.plants.oscillator import Oscillator
+from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node

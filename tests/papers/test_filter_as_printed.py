@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from concord.features.measurement_bus.stochastic_ukf import RECOMMENDED, expected_cov
 from concord.filters.gaussian import Gaussian
-from concord.filters.stochastic_ukf import RECOMMENDED, expected_cov
 from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R, pseudo_inverse
-from tests.filters.measurement_runs import (
+from tests.features.measurement_bus.measurement_runs import (
     GAMMA,
     PI_1,
     PROCESS,

@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 from concord.experiments.cli.reproduce import carry_out
-from concord.experiments.scenario_options import scenario_of
 from concord.papers.labelled import reproduce, study
 from concord.papers.labelled.cases import CaseOutcome, FaultCase, halves, runs_of_case
 from concord.papers.labelled.cases_section import CASES, cases_section
@@ -16,6 +15,7 @@ from concord.papers.labelled.reproduce import PAPER, error_section, figure_of
 from concord.papers.labelled.study import FORMS, OCCUPANCIES, Form, RunOutcome, StudyJob, cell
 from concord.papers.labelled.study import outcomes as runs_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 
 pytestmark = pytest.mark.slow
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from concord.bus.measurement_bus import flexray
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.measurement_bus import flexray
 from concord.papers.meng2025 import posterior_bound
 from concord.papers.meng2025.ablation import ablations
 from concord.papers.meng2025.posterior_bound import bound_of
 from concord.papers.meng2025.runs import carry_out, methods, simulate, transmit
 from concord.papers.meng2025.table import mse_by_step, row, running_mse
-from concord.plants import meng2025
 
 pytestmark = pytest.mark.slow
 

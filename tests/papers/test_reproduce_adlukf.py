@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.monte_carlo.intervals import Interval
+from concord.features.vehicle.plant.drive import Drive
+from concord.features.vehicle.plant.model import linear_tyre
+from concord.features.vehicle.plant.parameters import BMW_320I
 from concord.papers.adlukf.claims import AdlukfEvidence, Printed, claims
 from concord.papers.adlukf.consistency import average_nees, matched_study
 from concord.papers.adlukf.cost import costs
@@ -24,9 +26,7 @@ from concord.papers.adlukf.study import (
     score,
 )
 from concord.papers.adlukf.tables import per_state, ratio, with_interval
-from concord.plants.vehicle.drive import Drive
-from concord.plants.vehicle.model import linear_tyre
-from concord.plants.vehicle.parameters import BMW_320I
+from concord.results.figures.intervals import Interval
 from tests.papers.support import every_claim_can_fail
 
 pytestmark = pytest.mark.slow

@@ -10,8 +10,8 @@ import pytest
 import xarray
 
 from concord.experiments.cli.reproduce import carry_out
-from concord.experiments.monte_carlo.intervals import Interval
-from concord.experiments.results.trace import read_trace
+from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.meng2025 import SYSTEM
 from concord.papers.kit.report import check_runs
 from concord.papers.meng2025.claims import Meng2025Evidence, claims, gather
 from concord.papers.meng2025.errata import order_of_slots
@@ -27,9 +27,9 @@ from concord.papers.meng2025.runs import (
 )
 from concord.papers.meng2025.runs import carry_out as estimate_by
 from concord.papers.meng2025.table import EstimatorRow, row
-from concord.plants import meng2025
+from concord.results.figures.intervals import Interval
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
-from concord.scenarios.definitions.meng2025 import SYSTEM
 from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 from tests.papers.support import every_claim_can_fail

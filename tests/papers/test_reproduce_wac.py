@@ -10,7 +10,6 @@ from matplotlib.image import imread
 from msgspec.structs import replace
 
 from concord.experiments.__main__ import main
-from concord.experiments.results.trace import read_trace
 from concord.filters.fusion import hold
 from concord.filters.fusion.packed import pack
 from concord.filters.gaussian import Gaussian, to_information
@@ -30,6 +29,7 @@ from concord.papers.wac.loop_checks import checks_of as loop_checks_of
 from concord.papers.wac.loops import Loops
 from concord.papers.wac.network import beliefs_of, network_of
 from concord.papers.wac.responses import OUTPUT, Trial
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.features.vehicle.plant.corrections import steps_over
 from concord.plants.recorded.channels import (
     ChannelReadings,
     SamplingInstants,
@@ -17,7 +18,6 @@ from concord.plants.recorded.channels import (
     mean_by_step,
     readings_by_step,
 )
-from concord.plants.vehicle.corrections import steps_over
 
 STAMPS_US = st.lists(st.integers(0, 1_000_000), min_size=1, max_size=60, unique=True)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from concord.features.vehicle.plant.drive_log import read_log
 from concord.plants.recorded.channels import ChannelReadings
 from concord.plants.recorded.log_files import open_log
-from concord.plants.vehicle.drive_log import read_log
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXAMPLE = runpy.run_path(str(ROOT / "examples" / "own_log.py"))

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo import other_runs
-from concord.experiments.monte_carlo.other_runs import OtherRuns
+from concord.experiments import other_runs
+from concord.experiments.other_runs import OtherRuns
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from tests.experiments.support import small
 from tests.processes import holds_within

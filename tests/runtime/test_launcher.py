@@ -11,11 +11,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from concord.experiments.agreement import first_difference
-from concord.experiments.results.trace import Trace
+from concord.results.records.trace import Trace
 from concord.runtime.network.links import free_ports
 from concord.runtime.processes.job import Happened, Job
 from concord.runtime.processes.launcher import NetworkFailed, run_processes
+from concord.studies.agree import first_difference
 from tests.experiments.support import reference, small, trace_of
 from tests.processes import CONCORD, PATIENCE_S, PROC, family, holds_within, lives
 

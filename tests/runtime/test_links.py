@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.host_place import key_files
+from concord.features.hosts.host_place import key_files
 from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from concord.experiments.agreement import agreement
+from concord.studies.agree import agreement
 from tests.experiments.support import small
 
 pytestmark = pytest.mark.zenoh

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.results.trace import read_trace
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.processes.node.slow_processor import SlowProcessor
 from tests.experiments.support import small

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.agreement import first_difference
 from concord.runtime.drivers import in_this_process
 from concord.runtime.network.network_file import NetworkAddresses, read_network
 from concord.runtime.network.sockets import in_folder, socket_folder
 from concord.runtime.processes.job import Happened
 from concord.runtime.processes.launcher import run_processes
+from concord.studies.agree import first_difference
 from tests.experiments.support import small, trace_of
 from tests.processes import CONCORD, PATIENCE_S, PROC, family, holds_within
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
 from concord.plants.oscillator import Oscillation, Oscillator
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import (
     centralised,

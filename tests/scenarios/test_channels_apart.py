@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.frame import decode
-from concord.experiments.agreement import agreement
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.bus_report import figures_of, lines
-from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.simulation_testing.case_run import run_case
 from concord.experiments.simulation_testing.draw import draw_case
 from concord.experiments.simulation_testing.script import is_harmless
+from concord.results.bus.bus_capture import capture
+from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
-from tests.experiments.flexray_support import concord, refused
+from concord.studies.agree import agreement
 from tests.experiments.support import scenario
+from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.nodes.changing import run, same_bits
 
 pytestmark = pytest.mark.slow

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.experiments import option_types, options_page
-from concord.experiments.scenario_options import in_options, offered_options, scenario_of
 from concord.scenarios.catalogue import definition_named, definition_of, definitions
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import in_options, offered_options, scenario_of
 from concord.scenarios.types.assignment import assigned, check_ranges, flat
 from concord.scenarios.types.buses import DynamicSchedule, FlexRay, Ideal
 from concord.scenarios.types.declarations import every_option

@@ -13,17 +13,17 @@ import pytest
 from concord.bus.flexray.frame import decode
 from concord.bus.flexray.presets import FLEXRAY_ADAPTER
 from concord.bus.longest_wait import LongestWait
-from concord.experiments.flexray.rehearsal import rehearse
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.bus_report import figures_of, lines
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.features.flexray_tools.commands.rehearsal import rehearse
+from concord.results.bus.bus_capture import capture
+from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.batched.build import build_network
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 
 NODES, WHOLE, CUT_FRAMES, FRAMES = 7, 4, 3, 5
 

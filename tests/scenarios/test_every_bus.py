@@ -10,27 +10,27 @@ import numpy as np
 import pytest
 
 from concord.bus.bus import Rejected
-from concord.bus.recordings.pcap import write_pcap
+from concord.bus.pcap import write_pcap
 from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.theme import DARK
-from concord.experiments.agreement import agreement
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.bus_report import figures_of, lines
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.bus.bus_capture import capture
+from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import BusChoice, TimedBus, UserBus
 from concord.scenarios.types.option import name_of
 from concord.scenarios.user.bus import broken_promises
+from concord.studies.agree import agreement
+from concord.studies.near_agreement import departures
 from tests.dashboard.runs import frames_of
-from tests.experiments.flexray_support import concord, dissect, needs_tshark, refused
 from tests.experiments.support import scenario
 from tests.experiments.test_bus_capture import packets
+from tests.features.flexray_tools.flexray_support import concord, dissect, needs_tshark, refused
 
 pytestmark = pytest.mark.slow
 

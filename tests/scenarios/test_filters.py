@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.smoothing import check_smoothing
-from concord.experiments.results.trace import read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.results.records.trace import read_trace
+from concord.results.smoothing import check_smoothing
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.catalogue import definition_of
@@ -18,8 +16,10 @@ from concord.scenarios.definitions.own import own_scenario
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import share_size
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.warnings import warnings_of
+from concord.studies.monte_carlo.simulate import simulate
 
 
 def known(cov: float = 1.0, R: float = 1.0) -> Scenario:

@@ -5,10 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.trace import Trace, read_trace
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules import local_filter
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised
 from concord.scenarios.innovations import (
@@ -17,6 +16,7 @@ from concord.scenarios.innovations import (
     innovations_of_nodes,
 )
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.support import small
 
 

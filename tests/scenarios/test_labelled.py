@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.bus_report import wire_per_step
-from concord.experiments.results.sent_shares import SentShares
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.papers.labelled.cases import FaultCase, runs_of_case
 from concord.papers.labelled.exact import EVERYTHING, FULL_INFORMATION, audit, full_information
 from concord.papers.labelled.exact_section import NETWORKS, exact_section
+from concord.results.bus.bus_report import wire_per_step
+from concord.results.bus.sent_shares import SentShares
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised
 from concord.scenarios.build import build_bus, build_node
@@ -25,8 +23,10 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.warnings import warnings_of
+from concord.studies.monte_carlo.simulate import simulate
 from tests.test_agreement import assert_agreement
 
 

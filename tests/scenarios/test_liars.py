@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from concord.experiments.results.trace import read_trace
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of

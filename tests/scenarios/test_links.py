@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from concord.experiments.results.trace import read_trace
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare, setup_of_run

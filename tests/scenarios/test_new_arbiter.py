@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from concord.bus.arbitration import ARBITERS, Arbiter, ArbiterState, Numbers
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.trace import Trace, read_trace
-from concord.experiments.scenario_options import scenario_of
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.bus_plan import arbiter_names
 from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.simulate import simulate
 
 NAME = "longest-wait"
 

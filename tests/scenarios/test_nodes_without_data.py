@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from concord.bus.schedule import full_publish, hybrid
-from concord.experiments.results.bus_report import figures_of
-from concord.experiments.results.trace import read_trace
-from concord.plants.vehicle.drive_log import write_drive
+from concord.features.vehicle.plant.drive_log import write_drive
+from concord.results.bus.bus_report import figures_of
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
-from tests.experiments.identification.simulated_log import TRUE, simulated_log
 from tests.experiments.support import scenario
+from tests.features.vehicle.identification.simulated_log import TRUE, simulated_log
 from tests.test_batched_agreement import check_agreement
 
 SATELLITES = 3

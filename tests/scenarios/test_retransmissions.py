@@ -6,17 +6,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from concord.bus.can_fd.can_fd_bus import CanFdBus
-from concord.experiments.agreement import agreement
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.bus_report import figures_of, lines
-from concord.experiments.results.trace import read_trace
 from concord.experiments.simulation_testing.case_run import run_case
 from concord.experiments.simulation_testing.draw import draw_case
+from concord.features.other_buses.can_fd.can_fd_bus import CanFdBus
+from concord.results.bus.bus_capture import capture
+from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
+from concord.studies.agree import agreement
 from tests.experiments.support import scenario
 from tests.nodes.changing import run, same_bits
 from tests.nodes.fault_networks import total

@@ -8,8 +8,7 @@ import pytest
 from msgspec import structs
 
 from concord.bus.flexray.share_frames import payload_lengths
-from concord.experiments.results.near_agreement import departures
-from concord.experiments.results.trace import Trace, read_trace
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios import rules
 from concord.scenarios.build import build_node
@@ -18,6 +17,7 @@ from concord.scenarios.preparation import prepare, share_bytes
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types import rules as rule_types
+from concord.studies.near_agreement import departures
 
 NEEDS: dict[str, dict] = {
     "centralised": {"graph": "complete", "rounds": 1},

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.script import with_files
 
 TEXT = """# a bad night

@@ -14,18 +14,18 @@ from concord.bus.schedule import round_robin
 from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.theme import DARK
-from concord.experiments.agreement import agreement
-from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.trace import read_trace
-from concord.experiments.results.user_files import from_copies, keep_copies
-from concord.experiments.scenario_options import scenario_of
+from concord.results.bus.bus_capture import capture
+from concord.results.records.trace import read_trace
+from concord.results.user_files import from_copies, keep_copies
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.tempo import tempo_of
+from concord.studies.agree import agreement
+from concord.studies.monte_carlo.simulate import simulate
 from tests.dashboard.runs import frames_of
 from tests.pages import ROOT, blocks
 

@@ -9,11 +9,7 @@ import networkx
 import numpy as np
 import pytest
 
-from concord.experiments.agreement import agreement
-from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.python_api import sweep
-from concord.experiments.results.user_files import from_copies, keep_copies
-from concord.experiments.scenario_options import scenario_of
 from concord.filters.conditioning import condition
 from concord.filters.fusion import averaging
 from concord.filters.gaussian import Gaussian
@@ -21,11 +17,15 @@ from concord.filters.moments import Model, Residual
 from concord.filters.update import Update
 from concord.plants.oscillator import POSITION, VELOCITY, Oscillation
 from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.results.user_files import from_copies, keep_copies
 from concord.scenarios.definitions.own import own_scenario, portable
 from concord.scenarios.preparation import fingerprint, prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.user.values import is_source_name, source_of, value_of
+from concord.studies.agree import agreement
+from concord.studies.monte_carlo.simulate import simulate
 
 MODEL = Oscillation()
 

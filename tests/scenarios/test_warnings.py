@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from concord.experiments.results import record_spread
-from concord.experiments.results.trace import read_trace
 from concord.plants.linear import LinearModel, LinearPlant, LinearSensor
+from concord.results.records import record_spread
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios import catalogue
 from concord.scenarios.catalogue import definition_named

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from concord.features.recorded.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
 from concord.topology.adjacency import from_links, is_symmetric, links_of, neighbours_of, union
 from concord.topology.analysis import analyse, components, cut_links, cut_nodes
 from concord.topology.graph_files import read_network, write_network
 from concord.topology.graphs import build_graph, build_network, ring, star
-from concord.topology.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
 from concord.topology.network import Network, part_of
 from concord.topology.weights import equal_neighbour
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.clocks.clock_run import Conditions, draw_conditions, run_clocks
 from concord.bus.flexray.clocks.controller_states import (
     PASSIVE_TO_ACTIVE_PAIRS,
     PocState,
@@ -26,6 +25,7 @@ from concord.bus.flexray.clocks.correction import (
 from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, spread_us, synchronised
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
+from concord.features.flexray_tools.clocks.clock_run import Conditions, draw_conditions, run_clocks
 from tests.bus.clocks.scalar_clocks import scalar_starts, sorted_and_dropped
 
 ppm_of = st.integers(-1500, 1500)

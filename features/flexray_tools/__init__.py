@@ -1,0 +1,1 @@
+"""Tools for FlexRay buses: recordings, cluster files, slot design, response times, clocks."""

@@ -1,0 +1,1 @@
+"""Start-up and clock synchronisation of a FlexRay cluster."""

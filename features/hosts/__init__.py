@@ -1,0 +1,1 @@
+"""Networks on several hosts: keys, certificates, remote starts."""

@@ -1,0 +1,1 @@
+"""Sensors that share a bus to one estimator, and filters under noise that grows with the state."""

@@ -1,0 +1,202 @@
+"""Scenarios of the user's own behind a measurement bus."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
+from concord.features.measurement_bus.measurement_bus import RECEIVER, WeightsAt
+from concord.features.measurement_bus.sensed import SensedPlant, sensors_on_a_bus
+from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
+from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
+from concord.features.sets.bounded_network import on_the_bound
+from concord.features.sets.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
+from concord.features.sets.bounded_plant import BoundedOutput, BoundedPlant, system_of
+from concord.filters.filter import Filter
+from concord.filters.sigma_points import scaled_unscented
+from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
+from concord.scenarios.definitions.own import own_score, user_definition
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.buses import BusChoice, FlexRay, SensorSlots
+from concord.scenarios.types.filters import FilterBase, RecommendedFilter
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.types.rules import Reception
+from concord.scenarios.user.values import kept_source
+
+BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]
+"""A number or a matrix (m_j, m_j) for each sensor, or a function of the step that gives them."""
+
+
+def on_a_measurement_bus(
+    plant: OwnPlant | BoundedPlant | SensedPlant,
+    sensors: Sequence[OwnSensor] | Sequence[BoundedOutput] = (),
+    bus: BusChoice | None = None,
+    receiver: FilterBase | Filter | str = "recommended",
+    *,
+    weights: BidWeights | None = None,
+    steps: int = 200,
+    scored_states: Sequence[int] = (0,),
+    first_scored_step: int = 20,
+) -> Scenario:
+    """A scenario whose sensors 1..N share a bus to a receiver, node 0; a step is one slot.
+
+    Args:
+        plant: truth and model: an `OwnPlant`, a `BoundedPlant` (which sets need), or a
+            `SensedPlant` with stochastic nonlinearities.
+        sensors: of that plant, in the order of their slots; a `SensedPlant` has its own.
+        bus: kind of bus and schedule; FlexRay with a static slot for half of the sensors, and one
+            slot for which the others contend, when left out.
+        receiver: as in `--filter`: its name, its value or a filter of your own.
+        weights: of the bids; 1 for each sensor when left out.
+        steps: sampling instants.
+        scored_states: states of the RMSE, all of one unit.
+        first_scored_step: scored from here on, so that the start does not rule the figures.
+
+    Raises:
+        ValueError: sensors that do not fit the plant, or a scenario that cannot be.
+    """
+    on_bus = _plant_on_bus(plant, sensors)
+    count = on_bus.sensors
+    if weights is not None:
+        on_bus = on_bus._replace(weights=_weights_at(weights, on_bus.system.sizes))
+    truth = on_bus.plant
+    score = own_score(truth.state_units, scored_states, first_scored_step)
+    defaults = Scenario(
+        plant=UserPlant(),
+        network=SensorNetwork(nodes=1 + count, graph="star"),
+        rule=Reception(),
+        rounds=1,
+        bus=bus or FlexRay(schedule=SensorSlots(static_slots=count // 2)),
+        filter=RecommendedFilter(),
+        steps=steps,
+    ).with_(filter=receiver)
+    definition = measured_definition(defaults, lambda _: on_bus, score)
+    definition.refuse(defaults)
+    return user_definition(kept_source(definition)).defaults
+
+
+def _plant_on_bus(plant: Any, sensors: Sequence[Any]) -> PlantOnBus:
+    kinds: tuple[tuple[type, Any, Callable[..., PlantOnBus]], ...] = (
+        (OwnPlant, OwnSensor, _gaussian),
+        (BoundedPlant, BoundedOutput, _bounded),
+        (SensedPlant, (), _stochastic),
+    )
+    for kind, wanted, build in kinds:
+        if isinstance(plant, kind):
+            if any(not isinstance(sensor, wanted) for sensor in sensors):
+                word = wanted.__name__ if isinstance(wanted, type) else "the sensors of its own"
+                raise ValueError(f"sensors: a {kind.__name__} takes {word} and no others")
+            return build(cast(Any, plant), tuple(sensors))
+    raise ValueError(
+        f"plant of type {type(plant).__name__}: give an OwnPlant, a BoundedPlant or a SensedPlant"
+    )
+
+
+def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
+    require_sensors(plant, sensors)
+    for number, sensor in enumerate(sensors, start=1):
+        if sensor.angles or sensor.gate is not None:
+            raise ValueError(
+                f"sensor {number}: angles and gate have no place behind a measurement bus; let the "
+                "sensor read the sine and the cosine of an angle"
+            )
+    ends = np.cumsum([0, *(sensor.entries for sensor in sensors)])
+    noise_cov = np.zeros((ends[-1], ends[-1]))
+    for sensor, first, last in zip(sensors, ends, ends[1:], strict=False):
+        noise_cov[first:last, first:last] = sensor.noise_cov
+
+    def measure(state: np.ndarray, step: int) -> np.ndarray:
+        return np.concatenate([sensor.measure(state, step) for sensor in sensors], axis=-1)
+
+    system = StochasticSystem(
+        transition=plant.transition,
+        measure=measure,
+        sizes=tuple(sensor.entries for sensor in sensors),
+        process_noise_cov=plant.process_noise_cov,
+        measurement_noise_cov=lambda _: noise_cov,
+        process=lambda _: StochasticNonlinearity(plant.states, plant.states),
+        measurement=lambda _: StochasticNonlinearity(int(ends[-1]), plant.states),
+    )
+    return PlantOnBus(
+        OwnTruth(plant, (None, *sensors)),
+        plant,
+        lambda node: None if node == RECEIVER else sensors[node - 1],
+        system,
+        scaled_unscented(plant.states),
+        _equal_weights(system.sizes),
+    )
+
+
+def _bounded(plant: BoundedPlant, sensors: tuple[BoundedOutput, ...]) -> PlantOnBus:
+    bounded = system_of(plant, sensors)
+    system = as_gaussian(bounded, plant.states)
+    truth = BoundedOnBus(
+        bounded,
+        plant.prior_mean,
+        plant.prior_shape,
+        partial(on_the_bound, size=len(plant.noise_shape)),
+        inside,
+        plant.state_names or tuple(f"x{i}" for i in range(plant.states)),
+        plant.state_units or ("",) * plant.states,
+        plant.time_step_s,
+    )
+    return _of_system(truth, system)._replace(bounded=bounded)
+
+
+def _stochastic(plant: SensedPlant, sensors: tuple[()]) -> PlantOnBus:
+    placed = replace(plant, placement=sensors_on_a_bus(len(plant.system.sizes)))
+    # This plant has no measurement at step 0.
+    return _of_system(placed, plant.system)._replace(first_slot=1)
+
+
+def _of_system(truth: BoundedOnBus | SensedPlant, system: StochasticSystem) -> PlantOnBus:
+    ends = np.cumsum([0, *system.sizes]).tolist()
+    return PlantOnBus(
+        truth,
+        SystemModel(system),
+        lambda node: (
+            None if node == RECEIVER else SystemSensor(system, slice(ends[node - 1], ends[node]))
+        ),
+        system,
+        scaled_unscented(len(truth.prior_mean)),
+        _equal_weights(system.sizes),
+    )
+
+
+def _equal_weights(sizes: Sequence[int]) -> WeightsAt:
+    weights = tuple(np.eye(size) for size in sizes)
+    return lambda _: weights
+
+
+def _weights_at(weights: BidWeights, sizes: Sequence[int]) -> WeightsAt:
+    """Weights as matrices, tried at step 0.
+
+    Raises:
+        ValueError: another number than one for each sensor, or one that is not positive definite.
+    """
+
+    def at(step: int) -> tuple[np.ndarray, ...]:
+        given = weights(step) if callable(weights) else weights
+        if len(given) != len(sizes):
+            raise ValueError(f"weights: {len(given)} for {len(sizes)} sensors; give one for each")
+        return tuple(_weight(one, size) for one, size in zip(given, sizes, strict=True))
+
+    at(0)
+    return at
+
+
+def _weight(given: ArrayLike, size: int) -> np.ndarray:
+    matrix = np.asarray(given, dtype=float)
+    matrix = matrix * np.eye(size) if matrix.ndim == 0 else matrix
+    fits = matrix.shape == (size, size) and np.isfinite(matrix).all()
+    if not fits or np.linalg.eigvalsh((matrix + matrix.T) / 2).min() <= 0:
+        raise ValueError(
+            f"weights: {given} must be a positive number or a positive definite matrix "
+            f"({size}, {size})"
+        )
+    return matrix

@@ -1,0 +1,1 @@
+"""Buses other than FlexRay: 10BASE-T1S with PLCA, and CAN FD."""

@@ -1,0 +1,1 @@
+"""Recorded robots (UTIAS MRCLAM) and the sensors of the Intel laboratory."""

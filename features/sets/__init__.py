@@ -1,0 +1,1 @@
+"""Sets that hold the truth for certain: ellipsoids, zonotopes, their rules and receivers."""

@@ -1,0 +1,1 @@
+"""Several targets: births, deaths, clutter, association, tracks and their scores."""

@@ -1,0 +1,1 @@
+"""A car: its models, drives, logs and adaptive filters."""

@@ -1,0 +1,282 @@
+"""`vehicle-network`: a car's sensors as nodes on its FlexRay bus, one cycle of 5 ms a step.
+
+A --car is simulated with 29 states (CommonRoad) through a --manoeuvre, or a logged drive replayed
+with --data. Filters believe in the process noise of the car, times --process-noise. Every node
+learns how noisy its own sensors are (with --filter ukf it believes their data sheets). --noise says
+what the sensors really do.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from concord.features.vehicle.plant.cars import FITTED_CARS
+from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, channels_of_nodes
+from concord.features.vehicle.plant.drive_log import (
+    POSITION_CHANNELS,
+    delays_in,
+    logged_channels,
+    read_car,
+    read_log,
+)
+from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
+from concord.features.vehicle.plant.model import single_track, tanh_tyre
+from concord.features.vehicle.plant.network import (
+    ERRORS,
+    NODES,
+    SIDE_SLIP,
+    CarSensor,
+    DrivenCar,
+    DrivenOnce,
+    sensor,
+    simulated,
+)
+from concord.features.vehicle.plant.parameters import Car
+from concord.features.vehicle.plant.replay import replayed
+from concord.features.vehicle.plant.sensors import SensorError
+from concord.features.vehicle.plant.validity import outside_model
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.filters import AdaptiveUnscented
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import VehicleNetwork
+from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
+from concord.topology.names import unknown_name
+
+TIME_STEP_S = 0.005
+"""One cycle of the car's bus."""
+
+T = TypeVar("T")
+Errors = tuple[tuple[SensorError, ...], ...]
+
+
+def _each(change: Callable[[SensorError], SensorError]) -> Errors:
+    return tuple(tuple(change(error) for error in channels) for channels in ERRORS)
+
+
+NOISES: dict[str, Errors] = {
+    "matched": ERRORS,
+    "growing": _each(lambda error: error._replace(changes=((4.0, 4.0),))),
+    "small": _each(lambda error: error._replace(std=0.25 * error.std)),
+    "outliers": _each(lambda error: error._replace(outlier_share=0.02)),
+    "biased": _each(lambda error: error._replace(bias=error.std)),
+}
+"""Noise of the sensors, by name. The noise is as in the data sheets, four times as much from 4 s
+on, or a quarter as much. Readings have 2 % of outliers of 20 times the noise, or are off by one
+standard deviation."""
+
+
+def _while_files_stay(read: Callable[[str], T]) -> Callable[[str], T]:
+    """A function of a log's folder, called again only after one of its files has changed."""
+    cached = cache(lambda data, _files: read(data))
+
+    def read_once(data: str) -> T:
+        stats = {one.name: one.stat() for one in Path(data).glob("*")}
+        return cached(data, tuple((n, at.st_mtime_ns, at.st_size) for n, at in stats.items()))
+
+    return read_once
+
+
+@_while_files_stay
+def _logged(data: str) -> DrivenOnce:
+    return replayed(*read_log(data), TIME_STEP_S)
+
+
+@cache
+def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
+    # Only here: a node believes in a model and never simulates the truth.
+    from concord.features.vehicle.plant.truth import TRUE_CARS, simulate
+
+    drive = simulate(MANOEUVRES[manoeuvre], TRUE_CARS[car], TIME_STEP_S)
+    return simulated(drive, FITTED_CARS[car], NOISES[noise])
+
+
+def _plant(scenario: Scenario) -> DrivenOnce:
+    vehicle = vehicle_of(scenario)
+    if vehicle.data is not None:
+        return _logged(vehicle.data)
+    _check_names(vehicle)
+    return _simulated(vehicle.car, vehicle.manoeuvre, vehicle.noise)
+
+
+def _check_names(vehicle: VehicleNetwork) -> None:
+    if vehicle.car not in FITTED_CARS:
+        raise unknown_name("car", vehicle.car, FITTED_CARS)
+    if vehicle.manoeuvre not in MANOEUVRES:
+        raise unknown_name("manoeuvre", vehicle.manoeuvre, MANOEUVRES)
+
+
+def _all_steps(scenario: Scenario) -> int:
+    """Steps of the drive; a simulated one need not be simulated for that."""
+    vehicle = vehicle_of(scenario)
+    if vehicle.data is not None:
+        return _plant(scenario).steps
+    _check_names(vehicle)
+    return round(MANOEUVRES[vehicle.manoeuvre].duration_s / TIME_STEP_S) + 1
+
+
+def vehicle_of(scenario: Scenario) -> VehicleNetwork:
+    """The car of a scenario, its drive and its sensors."""
+    assert isinstance(scenario.plant, VehicleNetwork), "the catalogue chose this file"
+    return scenario.plant
+
+
+@cache
+def _believed(car: Car, noise_factor: float, positioned: bool) -> DrivenCar:
+    return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor, positioned)
+
+
+@_while_files_stay
+def _car(data: str) -> Car:
+    return read_car(data)
+
+
+@_while_files_stay
+def _positioned(data: str) -> bool:
+    """Whether a log has positions, so that the state holds the place of the car."""
+    return set(POSITION_CHANNELS) <= logged_channels(data)
+
+
+def _model(scenario: Scenario) -> DrivenCar:
+    vehicle = vehicle_of(scenario)
+    if vehicle.data is None:
+        return _believed(FITTED_CARS[vehicle.car], vehicle.process_noise, False)
+    return _believed(_car(vehicle.data), vehicle.process_noise, _positioned(vehicle.data))
+
+
+def _sensor(scenario: Scenario, node: int) -> CarSensor:
+    model = _model(scenario)
+    own = sensor(node, model.single_track, model.positioned)
+    return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
+
+
+@cache
+def _gate(probability: float, channels: int) -> float | None:
+    """Chi-square threshold of a reading; none for no gate."""
+    if probability == 0:
+        return None
+    # Only here: a node without a gate need not wait for it.
+    from scipy.special import chdtri
+
+    return float(chdtri(channels, probability))
+
+
+def _reference_cov(scenario: Scenario) -> float:
+    """Variance of the side slip that a log has in place of the truth."""
+    data = vehicle_of(scenario).data
+    return 0.0 if data is None else _car(data).sensors.side_slip.noise ** 2
+
+
+@_while_files_stay
+def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
+    there = logged_channels(data)
+    of_nodes = enumerate(channels_of_nodes(_car(data)))
+    return tuple(node for node, names in of_nodes if there.isdisjoint(names))
+
+
+def _without_data(scenario: Scenario) -> tuple[int, ...]:
+    """Nodes whose sensor a log has no column of."""
+    data = vehicle_of(scenario).data
+    return () if data is None else _logged_nodes_without_data(data)
+
+
+@_while_files_stay
+def _late(data: str) -> tuple[int, ...]:
+    """Steps from the instant of a reading to its delivery, which waits for the last channel."""
+    car, delays = _car(data), delays_in(data)
+    late = []
+    for channels, sensors in zip(channels_of_nodes(car), SENSORS_OF_NODES, strict=True):
+        pairs = zip(channels, sensors, strict=True)
+        there = [(name, getattr(car.sensors, sensor)) for name, sensor in pairs if name in delays]
+        longest_s = max((delays[name] + sheet.delay_s for name, sheet in there), default=0.0)
+        late.append(max(0, math.ceil(longest_s / TIME_STEP_S - 1e-6)))
+    return tuple(late)
+
+
+def _late_steps(scenario: Scenario) -> tuple[int, ...]:
+    vehicle = vehicle_of(scenario)
+    return () if vehicle.data is None or vehicle.arrival == "stamped" else _late(vehicle.data)
+
+
+def _check_arrival(scenario: Scenario) -> None:
+    """Refuse late readings that no window can put back."""
+    vehicle, rule = vehicle_of(scenario), scenario.rule
+    if vehicle.arrival == "stamped":
+        return
+    if vehicle.data is None:
+        raise ValueError("--arrival late: of a log, but this drive is simulated; add --data")
+    if not isinstance(rule, MeasurementFlooding):
+        raise ValueError(
+            f"--arrival late: rule {rule.name} has no window that puts readings back; use --rule "
+            "labelled --filter ukf --cluster fitted"
+        )
+    if vehicle.sensor_gate or rule.gate_probability or rule.withhold_below:
+        raise ValueError(
+            "--arrival late: a node judges a reading before it comes; leave --sensor-gate, "
+            "--gate-probability and --withhold-below out"
+        )
+    longest, window = max(_late(vehicle.data)), rule.window_steps or LEAST_WINDOW_STEPS
+    if longest >= window:
+        raise ValueError(
+            f"--arrival late: readings come up to {longest} steps late, but the window has "
+            f"{window}; use --window-steps {longest + LEAST_WINDOW_STEPS}"
+        )
+
+
+def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
+    return outside_model(_model(scenario).single_track, states)
+
+
+def _check(scenario: Scenario) -> None:
+    if scenario.nodes != len(NODES):
+        raise ValueError(
+            f"--nodes {scenario.nodes}: the car has {len(NODES)}, {', '.join(NODES)}; leave "
+            "--nodes out"
+        )
+    vehicle = vehicle_of(scenario)
+    simulated_only = [
+        f"--{option} {getattr(vehicle, option)}"
+        for option in ("car", "manoeuvre", "noise")
+        if getattr(vehicle, option) != getattr(DEFINITION.defaults.plant, option)
+    ]
+    if vehicle.data is not None and simulated_only:
+        raise ValueError(
+            f"{', '.join(simulated_only)}: of simulated drives, but --data {vehicle.data} is a "
+            "logged one, which has its own car, course and noise; leave one of the two out"
+        )
+    _check_arrival(scenario)
+    plant = _plant(scenario)
+    if scenario.steps > plant.steps:
+        raise ValueError(
+            f"--steps {scenario.steps}: the drive has {plant.steps} steps of "
+            f"{1e3 * plant.time_step_s:g} ms; ask for fewer, or leave --steps out"
+        )
+
+
+DEFINITION = ScenarioDefinition(
+    defaults=Scenario(
+        plant=VehicleNetwork(),
+        network=SensorNetwork(nodes=len(NODES), graph="complete"),
+        rounds=1,
+        bus=FlexRay(cluster="audi"),
+        filter=AdaptiveUnscented(),
+        steps=1,
+    ),
+    check=_check,
+    plant=_plant,
+    model=_model,
+    sensor=_sensor,
+    # The side slip is what the car is estimated for, and what a log may know.
+    score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
+    all_steps=_all_steps,
+    reference_cov=_reference_cov,
+    without_data=_without_data,
+    late_steps=_late_steps,
+    outside=_outside,
+)

@@ -1,0 +1,1 @@
+"""What the bus carried, from the record of a run."""

@@ -1,0 +1,89 @@
+"""References of a Monte Carlo study: the baseline filter of each run, and the error bound.
+
+The references do not depend on the network, so cells of a sweep with the same noise share them.
+"""
+
+import hashlib
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from concord.results.figures.posterior_bound import Truths, posterior_bound
+from concord.results.records.histories import Histories
+from concord.scenarios.baselines import centralised_of_runs, filters_step_by_step
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.moves import with_scripted_moves
+from concord.scenarios.setup import Setup
+
+# Frames of pieces of several cells that have the same noise.
+_KEPT_BYTES = 64 * 1024**2
+
+
+class RunFrame(NamedTuple):
+    """Centralised mean (R, steps, n) and cov (R, steps, n, n) of R runs; bound (steps, n, n)."""
+
+    mean: np.ndarray
+    cov: np.ndarray
+    bound: np.ndarray
+
+    def of(self, place: slice) -> "RunFrame":
+        """Return that of some of the runs, beside the bound of all."""
+        return RunFrame(self.mean[place], self.cov[place], self.bound)
+
+
+_frames: dict[bytes, RunFrame] = {}
+
+
+def frame_of(setup: Setup, runs: range, histories: Histories) -> RunFrame:
+    """Return the frame of these runs; computed once per process for equal truths and readings."""
+    key = _key(setup, runs, histories) if filters_step_by_step(setup) else None
+    if key is not None and key in _frames:
+        return _frames[key]
+    frame = _frame(setup, runs, histories)
+    if key is not None:
+        _frames[key] = frame
+        while len(_frames) > 1 and sum(map(_size_bytes, _frames.values())) > _KEPT_BYTES:
+            _frames.pop(next(iter(_frames)))
+    return frame
+
+
+def _size_bytes(frame: RunFrame) -> int:
+    return sum(part.nbytes for part in frame)
+
+
+def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
+    scenario = setup.scenario
+    # The key leaves out the network, its rule and its bus; the baseline filter does not use them.
+    of_the_readings = (
+        scenario.plant, scenario.nodes, scenario.filter, scenario.steps, scenario.seed,
+        scenario.changes, setup.prior_cov, runs[0],
+    )  # fmt: skip
+    digest = hashlib.blake2b(msgspec.json.encode(of_the_readings))
+    for array in (histories.truth, histories.readings, histories.control, histories.prior_mean):
+        if array is not None:
+            digest.update(array.tobytes())
+    return digest.digest()
+
+
+def _frame(setup: Setup, runs: range, histories: Histories) -> RunFrame:
+    control, readings = histories.control, histories.readings
+    assert readings is not None, "keep the readings"
+    alone = centralised_of_runs(setup, runs, readings, control, histories.prior_mean)
+    return RunFrame(alone.mean, alone.cov, bound_of(setup, histories))
+
+
+def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
+    """The posterior Cramer-Rao bound (steps, n, n) of these runs, which have kept their readings;
+    NaN where it is not defined."""
+    definition = definition_of(setup.scenario)
+    steps, n = histories.truth.shape[1:]
+    # The bound's model does not cover another wiring, a set-valued rule or a gate.
+    if definition.wirings or not filters_step_by_step(setup):
+        return np.full((steps, n, n), np.nan)
+    assert histories.readings is not None, "keep the readings"
+    groups = definition.sensor_groups(with_scripted_moves(setup).scenario)
+    truths = Truths(histories.truth, histories.readings, histories.control)
+    return posterior_bound(
+        truths, np.array(setup.prior_cov), definition.model(setup.scenario), groups
+    )

@@ -1,0 +1,222 @@
+"""The sentence that ends a run: whether estimates, models and readings fit each other."""
+
+import numpy as np
+
+from concord.features.vehicle.slip_evidence import SlipEvidence
+from concord.results.figures.intervals import Interval
+from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
+from concord.results.innovations.diagnosis import (
+    FALSE_ALARMS,
+    Cause,
+    Channel,
+    Diagnosis,
+)
+from concord.results.run_verdict import beyond
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.filters import UnscentedFilter
+from concord.scenarios.types.plants import VehicleNetwork
+
+ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
+"""Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but
+`FALSE_ALARMS` of the runs that are consistent."""
+
+_ABSURD = 100.0
+"""NIS of a logged channel that no noise explains."""
+_MATTERS = 0.5
+"""Standard deviations of a mean beside which small innovations are no caution."""
+_ALL_ALIKE = {
+    Cause.ALL_NOISE_TOO_SMALL: (
+        "{figures}, and other sensors are alike; their noise is larger than the filter's R: raise R"
+    ),
+    Cause.ALL_NOISE_TOO_LARGE: (
+        "{figures}, and other sensors are alike; their noise is smaller than the filter's R: "
+        "lower R"
+    ),
+    Cause.PROCESS_NOISE_TOO_SMALL: (
+        "{figures}, and successive innovations correlate by {correlation:.2g}: the process noise Q "
+        "is too small, or the model lacks a part of the motion{or_coloured}; {cure}"
+    ),
+    Cause.PROCESS_NOISE_TOO_LARGE: (
+        "{figures}, and successive innovations correlate by {correlation:.2g}: the process noise Q "
+        "is too large; lower it"
+    ),
+    Cause.MODEL: (
+        "{figures}, their mean is {mean}, and they correlate by {correlation:.2g}: the model does "
+        "not move as the readings do; {cure}"
+    ),
+}
+_OF_ONE = {
+    Cause.OFFSET: "{figures}; it reads {mean} off its prediction: correct its offset",
+    Cause.NOISE_TOO_SMALL: (
+        "{figures}; its noise is larger than the filter's R{or_biased}: raise R{learn}"
+    ),
+    Cause.NOISE_TOO_LARGE: "{figures}; its noise is smaller than the filter's R: lower R{learn}",
+    Cause.COLOURED: (
+        "{figures}, and its innovations correlate by {correlation:.2g}: its errors are not white"
+    ),
+}
+
+
+def innovation_verdict(
+    scenario: Scenario,
+    diagnosis: Diagnosis,
+    nis: Interval,
+    anees: Interval,
+    suspicion: Interval,
+    named: str = "",
+    slip: SlipEvidence | None = None,
+) -> str:
+    """The verdict, computed from the diagnosis and from the nodes' own figures.
+
+    `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
+    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
+    95 % interval that the run's figures show. `named` is the cause in the file of a logged car,
+    where one was found (`log_cause`); it takes the place of the cause that channels point to.
+    `slip` judges the errors of its side slip, where the log tells them.
+    """
+    if diagnosis.cause is Cause.UNKNOWN:
+        return (
+            f"too few readings to judge; no channel has {LEAST_UPDATES} in the scored "
+            "steps, so use more --steps"
+        )
+    if diagnosis.cause is not Cause.NONE:
+        return _beside_errors(*_of_readings(scenario, diagnosis, named), anees, slip)
+    lead, said = _of_estimates(scenario, nis, anees, suspicion)
+    if named:
+        lead, said = "undecided" if lead == "consistent" else lead, f"{said}; yet {named}"
+    if lead == "underconfident":  # the fault of the rule, not of the filter that hears everything
+        return f"{lead}: {said}"
+    return _beside_errors(lead, said, anees, slip)
+
+
+def _beside_errors(lead: str, said: str, anees: Interval, slip: SlipEvidence | None) -> str:
+    """The verdict on readings, unless errors of estimates show more, or another confidence."""
+    found = anees if slip is None else slip.anees
+    errors = f"ANEES is {_short(anees.value)} where 1 is right" if slip is None else slip.in_words()
+    claims = beyond(found)
+    if lead != "overconfident" and claims == "overconfident":
+        return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
+    if slip is None:
+        return f"{lead}: {said}"
+    if lead == "underconfident" and not claims:
+        # Noise that covers lasting errors of the tyres leaves small innovations as well.
+        of_slip = "undecided" if np.isnan(found.low) else "consistent"
+        return f"{of_slip}: {errors}; innovations alone would say {lead}: {said}"
+    return f"{lead}: {said}; {errors}"
+
+
+def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[str, str]:
+    assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
+    test = diagnosis.test
+    lead, besides = _lead(diagnosis), _besides(diagnosis)
+    figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
+    if named and test.nis.value > _ABSURD:
+        return lead, f"{figures}; look at units, signs and stamps in columns.toml before car.toml"
+    if named:
+        return lead, f"{figures}{besides if lead == 'biased' else ''}; {named}"
+    said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
+        figures=figures,
+        mean=_mean(test, diagnosis.channel),
+        correlation=test.correlation,
+        cure=_cure(scenario),
+        learn=_learn(scenario),
+        or_coloured="" if diagnosis.others else ", or this sensor's errors are not white",
+        or_biased=_or_biased(test, diagnosis.channel),
+    )
+    if diagnosis.cause in _OF_ONE and diagnosis.others:
+        plural = "channels deviate" if diagnosis.others > 1 else "channel deviates"
+        said += f"; {diagnosis.others} more {plural}, less so"
+    return lead, said + besides
+
+
+def _besides(diagnosis: Diagnosis) -> str:
+    """The channel with the largest offset, where it is another than that of the cause."""
+    if diagnosis.shifted is None or diagnosis.shifted[0] == diagnosis.channel:
+        return ""
+    channel, off = diagnosis.shifted
+    return f"; besides, {label(channel)} reads {_mean(off, channel)} off its prediction"
+
+
+def outside_in_words(shares: dict[str, float] | None) -> str:
+    """The end of a verdict: how much of the drive is outside the model, and why."""
+    if not shares or not shares["any"]:
+        return ""
+    why = ", ".join(
+        f"{name}: {_percent(share)}" for name, share in shares.items() if share and name != "any"
+    )
+    return f"; not judged: {_percent(shares['any'])} of the drive, outside the model ({why})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def label(channel: Channel) -> str:
+    """Return a channel with its node: "node 2's yaw rate"."""
+    return f"node {channel.node}'s {channel.name}"
+
+
+def _lead(diagnosis: Diagnosis) -> str:
+    test, shifted = diagnosis.test, diagnosis.shifted
+    assert test is not None, "a cause has a test"
+    if test.nis.low > 1:
+        return "overconfident"
+    if shifted is not None and abs(shifted[1].shift) > _MATTERS:
+        return "biased"
+    if test.nis.high < 1:
+        return "underconfident"
+    return "biased" if diagnosis.cause is Cause.OFFSET else "coloured"
+
+
+def _of_estimates(
+    scenario: Scenario, nis: Interval, anees: Interval, suspicion: Interval
+) -> tuple[str, str]:
+    fits = "models and sensors fit the readings"
+    for name, found in (("ANEES", anees), ("NIS", nis)):
+        shown = f"{name} {_short(found.value)} where 1 is right"
+        if confidence := beyond(found):
+            claims = "too much" if confidence == "overconfident" else "too little"
+            return confidence, f"{fits}, but rule {scenario.rule.name} claims {claims} ({shown})"
+    doubt = beyond(suspicion)
+    if doubt:
+        side = "above" if doubt == "overconfident" else "below"
+        return "undecided", (
+            f"{fits}, but ANEES {_short(anees.value)} is {side} 1 at 95 % and not at "
+            f"{100 * ESTIMATES_CONFIDENCE:g} %; use more --steps or --runs"
+        )
+    figures = (("NIS", nis), ("ANEES", anees))
+    judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
+    said = fits
+    if judged:
+        said += f" ({', '.join(judged)} where 1 is right)"
+    for name, found in figures:
+        if np.isnan(found.low) and not np.isnan(found.value):
+            said += f"; too few scored steps to judge {name} {_short(found.value)}"
+    return "consistent", said
+
+
+def _mean(test: ChannelTest, channel: Channel) -> str:
+    value, low, high = test.mean
+    return f"{value:.2g} {channel.unit} (95 %: {low:.2g} to {high:.2g})".replace("  ", " ")
+
+
+def _or_biased(test: ChannelTest, channel: Channel) -> str:
+    if test.mean.low <= 0 <= test.mean.high:
+        return ""
+    return f", or it is biased by {test.mean.value:.2g} {channel.unit}".rstrip()
+
+
+def _cure(scenario: Scenario) -> str:
+    plant = scenario.plant
+    if isinstance(plant, VehicleNetwork) and plant.data is not None:
+        return f"`concord identify --data {plant.data}` fits the car's model to the log"
+    return "raise Q, or model that part"
+
+
+def _learn(scenario: Scenario) -> str:
+    plain = isinstance(scenario.filter, UnscentedFilter)
+    return ", or let nodes learn it with --filter aukf" if plain else ""
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"

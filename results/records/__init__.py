@@ -1,0 +1,1 @@
+"""Records of runs as arrays, and their files."""

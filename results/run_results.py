@@ -1,0 +1,103 @@
+"""Results of a run from what it recorded: the trace, and the arrays and the capture made of it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from concord.bus.pcap import FLEXRAY_LINK, write_pcap
+from concord.results.bus.bus_capture import capture, check_all_cycles, traffic_of
+from concord.results.bus.node_capture import node_capture
+from concord.results.folder import (
+    CAPTURE,
+    NODE_CAPTURE,
+    RECORDING,
+    Description,
+    recording_of,
+    write_arrays,
+)
+from concord.results.innovations.of_run import RunInnovations
+from concord.results.records.trace import Trace, read_trace
+from concord.runtime.disk import writing
+from concord.runtime.recording import read_recording
+from concord.scenarios.build import build_bus
+from concord.scenarios.moves import with_moves
+from concord.scenarios.scenario import require
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.frame_formats import frame_format
+
+
+class Captures(NamedTuple):
+    """Captures that a run leaves: whether bus.pcap has the cycles between the steps, and nodes that
+    get one of their own."""
+
+    all_cycles: bool = False
+    nodes: tuple[int, ...] = ()
+
+
+NO_MORE = Captures()
+
+
+def check_captures(setup: Setup, captures: Captures) -> None:
+    """Refuse captures that a run cannot have.
+
+    Raises:
+        ValueError: naming the option, its value and the cure.
+    """
+    if captures.all_cycles:
+        check_all_cycles(setup)
+    if captures.nodes and not build_bus(setup).has_time:
+        raise ValueError(
+            f"--capture-nodes {captures.nodes[0]}: a bus without time has no capture; use --bus "
+            "flexray, or leave it out"
+        )
+    last = setup.scenario.nodes - 1
+    for node in captures.nodes:
+        require(0 <= node <= last, "capture-nodes", node, f"a node of the network, 0 to {last}")
+
+
+def completed(folder: Path, description: Description) -> Trace:
+    """Return the trace of the steps that all nodes completed.
+
+    Raises:
+        ValueError: there are none.
+    """
+    recording = recording_of(folder)
+    trace = read_trace(description.setup, read_recording(recording))
+    if not trace.steps:
+        raise ValueError(f"{recording}: the run ended before all nodes completed a step")
+    return trace
+
+
+def as_it_ran(description: Description, trace: Trace) -> Description:
+    """Return the description whose sensors stand in each step where they stood in the run."""
+    setup = with_moves(description.setup, trace.history.moves)
+    return msgspec.structs.replace(description, setup=setup)
+
+
+def write_results(
+    folder: Path,
+    description: Description,
+    trace: Trace,
+    captures: Captures = NO_MORE,
+    innovations: RunInnovations | None = None,
+) -> None:
+    """Write run.nc, and where the bus has time bus.pcap and a capture for each node of these.
+
+    `innovations` are computed where they are not given.
+    """
+    write_arrays(folder, description, trace, innovations)
+    setup, recording = description.setup, folder / RECORDING
+    frames = capture(setup, trace, read_recording(recording), captures.all_cycles)
+    if frames is None:
+        return
+    link = frame_format(setup.scenario).link or FLEXRAY_LINK
+    with writing(folder / CAPTURE):
+        write_pcap(folder / CAPTURE, frames, link)
+    traffic = traffic_of(setup, trace, read_recording(recording)) if captures.nodes else None
+    if traffic is None:
+        return
+    for node in captures.nodes:
+        path = folder / NODE_CAPTURE.format(node)
+        with writing(path):
+            write_pcap(path, node_capture(setup, traffic, node), link)

@@ -1,0 +1,1 @@
+"""Studies of many runs: Monte Carlo, sweeps, designs, comparisons, checks."""

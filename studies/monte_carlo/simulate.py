@@ -1,0 +1,332 @@
+"""Many runs of a scenario at once: `simulate` is where experiments get their Monte Carlo from.
+
+    histories = simulate(prepare(scenario), range(200))
+    errors = histories.mean - histories.truth[:, :, None]
+
+Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Rules and scenarios
+without an array form run message by message, one run after the other, and give the same value.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from concord.features.several_targets.tracks_of_runs import TracksOfRuns
+from concord.features.several_targets.tracks_trace import TracksTrace
+from concord.filters.gaussian import Gaussian
+from concord.results.records.histories import Histories
+from concord.results.records.record_spread import RecordSpread
+from concord.results.records.spread_history import SpreadHistory
+from concord.results.records.trace import Past, read_trace
+from concord.runtime.batched.build import build_network, without_array_form
+from concord.runtime.batched.driver import Instant, run
+from concord.runtime.batched.memory import keep_freed_memory
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import scored_nees
+from concord.scenarios.innovations import Innovations, InnovationsByStep
+from concord.scenarios.labelled import smoothing_lags
+from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
+
+# Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
+# worth its calls, little enough for caches and memory.
+LANES = 16_384
+# And no more than take some tens of seconds: what is interrupted keeps those that are complete.
+LANE_STEPS = 12_000_000
+
+READINGS, AGES, COV, INNOVATIONS = "readings", "ages", "cov", "innovations"
+OPTIONAL = frozenset((READINGS, AGES, COV, INNOVATIONS))
+_PAST_MEAN, _PAST_STD = "past mean", "past std"
+_INNOVATIONS = "innovation value", "innovation cov", "innovation nis"
+
+
+class _Recorded(NamedTuple):
+    """One step of some runs: the axes of `Histories` without S."""
+
+    truth: np.ndarray
+    control: np.ndarray | None
+    belief: Gaussian
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    classes: np.ndarray
+    readings: np.ndarray
+    ages: np.ndarray
+    past: Past | None
+    suspect: np.ndarray | None
+
+
+def simulate(
+    setup: Setup,
+    runs: Sequence[int],
+    *,
+    keep: Iterable[str] = (READINGS, AGES),
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> Histories:
+    """Run a setup under its seed with the noise of each of these run numbers.
+
+    Args:
+        setup: of any run; its own run number does not matter.
+        runs: numbers of runs, at least one, each once.
+        keep: which of `OPTIONAL` histories to keep beside means and traces: what the baselines need
+            (readings), what held shares were worth (ages), full covariances (cov), innovations.
+        on_progress: told how many steps of how many runs are done, added up.
+
+    Raises:
+        ValueError: no runs, or a name in `keep` that is none.
+        Interrupted: by Ctrl-C, with the runs that were complete.
+    """
+    if not len(runs) or len(set(runs)) < len(runs):
+        raise ValueError(f"runs {list(runs)[:9]}: give at least one number, each of them once")
+    if unknown := set(keep) - OPTIONAL:
+        raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
+    keep_freed_memory()
+    collected = _Collected(setup, runs, frozenset(keep))
+    first = 0
+    try:
+        while first < len(runs):
+            place = slice(first, first + runs_together(setup.scenario))
+            collected.take(place, on_progress)
+            first = place.stop
+    except KeyboardInterrupt:
+        raise Interrupted(collected.histories().of(slice(first)) if first else None) from None
+    return collected.histories()
+
+
+def runs_together(scenario: Scenario) -> int:
+    """Return how many runs are taken at once."""
+    if without_array_form(scenario) is not None:
+        return 1
+    lanes = min(LANES, LANE_STEPS // scenario.steps)
+    return max(1, lanes // scenario.nodes)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Interrupt of a simulation.
+
+    `histories` are those of the first, complete runs; None if no run is complete.
+    """
+
+    def __init__(self, histories: Histories | None) -> None:
+        super().__init__()
+        self.histories = histories
+
+
+class _Collected:
+    """The histories of some runs, as they come to be known."""
+
+    def __init__(self, setup: Setup, runs: Sequence[int], keep: frozenset[str]) -> None:
+        self._setup, self._runs, self._keep = setup, runs, keep
+        self._arrays: dict[str, np.ndarray] = {}
+        self._counters: dict[str, np.ndarray] = {}
+        self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
+        self._spreads: list[RecordSpread] = []
+        self._tracks: list[TracksTrace] = []
+        self._done = 0
+
+    def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
+        """Run those of a place, and keep their results."""
+        setup, runs = self._setup, self._runs[place]
+        messages = without_array_form(setup.scenario) is not None
+        part = (_replayed if messages else _driven)(setup, runs)
+        self._prior_mean[place] = part.prior_mean
+        innovations = InnovationsByStep(setup, runs) if INNOVATIONS in self._keep else None
+        for step, recorded in enumerate(part.steps):
+            at = (len(self._runs), place, step)
+            _write(setup, self._arrays, at, recorded, self._keep)
+            if innovations is not None:
+                self._write_innovations(at, innovations, recorded)
+            self._done += len(runs)
+            on_progress(self._done)
+        for name, counts in part.counters.items():
+            shape = (len(self._runs), setup.scenario.nodes)
+            self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+        self._spreads += part.spreads()
+        self._tracks += part.tracks()
+
+    def _write_innovations(
+        self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
+    ) -> None:
+        found = innovations.add(recorded.belief, recorded.readings, recorded.control)
+        if found is not None:
+            _put(self._setup, self._arrays, at, dict(zip(_INNOVATIONS, found, strict=True)))
+
+    def histories(self) -> Histories:
+        """Of all runs; of those that were not taken, no number means anything."""
+        missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
+        del missing[INNOVATIONS]
+        arrays = dict(self._arrays)
+        past = Past(arrays.pop(_PAST_MEAN), arrays.pop(_PAST_STD)) if _PAST_MEAN in arrays else None
+        there = _INNOVATIONS[0] in arrays
+        innovations = Innovations(*map(arrays.pop, _INNOVATIONS)) if there else None
+        fields: dict[str, Any] = {**missing, **arrays}
+        return Histories(
+            setup=self._setup,
+            runs=np.array(self._runs),
+            counters=self._counters,
+            prior_mean=self._prior_mean,
+            innovations=innovations,
+            past=past,
+            spreads=tuple(self._spreads),
+            tracks=tuple(self._tracks),
+            **fields,
+        )
+
+
+class _Part(NamedTuple):
+    """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
+    and once all steps are taken, how records spread, and the tracks of several targets."""
+
+    steps: Iterable[_Recorded]
+    counters: dict[str, np.ndarray]
+    prior_mean: np.ndarray
+    spreads: Callable[[], Sequence[RecordSpread]]
+    tracks: Callable[[], Sequence[TracksTrace]]
+
+
+def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
+    """Some runs at once."""
+    network = build_network(setup, runs)
+    most_rounds = max(segment.settings.rounds for segment in network.segments)
+    counters: dict[str, np.ndarray] = {}
+    # Nodes times nodes times steps: nothing that a rule without records could afford.
+    spreads: list[SpreadHistory] = []
+    told = TracksOfRuns(setup, len(runs))
+
+    def steps() -> Iterable[_Recorded]:
+        for instant in run(network):
+            counters.update(instant.counters)
+            told.add(instant)
+            if instant.spread is not None and not told.there and not setup.scenario.changes:
+                spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
+                spreads[0].add(instant)
+            yield _recorded(setup, instant, most_rounds)
+
+    return _Part(
+        steps(),
+        counters,
+        network.prior.mean[:, 0],
+        lambda: spreads[0].of_runs() if spreads else (),
+        told.of_runs,
+    )
+
+
+def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
+    lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
+    payload, asked, classes = (
+        np.pad(one, lacking).transpose(1, 0, 2)
+        for one in (instant.payload_bytes, instant.asked, instant.classes)
+    )
+    # The first state of several targets is their number; the others are those of the targets.
+    truth = instant.truth if instant.tracks is None else instant.truth[:, : len(setup.prior_mean)]
+    return _Recorded(
+        truth,
+        instant.control,
+        instant.belief,
+        payload,
+        asked,
+        classes,
+        instant.readings,
+        instant.ages,
+        _past(instant, smoothing_lags(setup.scenario)),
+        _suspect(setup, instant),
+    )
+
+
+def _suspect(setup: Setup, instant: Instant) -> np.ndarray | None:
+    """Which nodes are suspect (R, N); none while another rule is set."""
+    if not isinstance(setup.scenario.rule, MeasurementFlooding):
+        return None
+    nobody = np.zeros(instant.belief.mean.shape[:2], dtype=bool)
+    return nobody if instant.suspect is None else instant.suspect
+
+
+def _past(instant: Instant, lags: int) -> Past | None:
+    """The smoothed states (R, L, N, n) of a step; NaN while another rule is set."""
+    if not lags:
+        return None
+    if instant.past is None:
+        runs, nodes, n = instant.belief.mean.shape
+        nothing = np.full((runs, lags, nodes, n), np.nan)
+        return Past(nothing, nothing)
+    std = np.sqrt(np.diagonal(instant.past.cov, axis1=-2, axis2=-1))
+    return Past(instant.past.mean.swapaxes(1, 2), std.swapaxes(1, 2))
+
+
+def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
+    """One run, message by message."""
+    own = setup_of_run(setup, runs[0])
+    trace = read_trace(own, in_memory(own))
+    names = {name for counters in trace.counters for name in counters}
+    counters = {
+        name: np.array([[counted.get(name, 0) for counted in trace.counters]]) for name in names
+    }
+    receiver, sender = own.links
+
+    def steps() -> Iterable[_Recorded]:
+        for step in range(trace.steps):
+            yield _Recorded(
+                trace.truth[None, step],
+                None if trace.control is None or step == 0 else trace.control[None, step],
+                Gaussian(trace.mean[None, step], trace.cov[None, step]),
+                trace.payload_bytes[None, step],
+                trace.asked[None, step],
+                trace.classes[None, step],
+                trace.readings[None, step],
+                trace.ages[None, step, receiver, sender],
+                None if trace.past is None else Past(*(one[None, step] for one in trace.past)),
+                None if trace.suspect is None else trace.suspect[None, step],
+            )
+
+    spreads = [] if trace.spread is None else [trace.spread]
+    tracks = [] if trace.tracks is None else [trace.tracks]
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, lambda: tracks)
+
+
+def _write(
+    setup: Setup,
+    arrays: dict[str, np.ndarray],
+    at: tuple[int, slice, int],
+    recorded: _Recorded,
+    keep: frozenset[str],
+) -> None:
+    """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
+    belief, truth = recorded.belief, recorded.truth
+    values: dict[str, np.ndarray | None] = {
+        "truth": truth,
+        "control": recorded.control,
+        "mean": belief.mean,
+        "cov_trace": np.trace(belief.cov, axis1=-2, axis2=-1),
+        "nees": scored_nees(setup.scenario, belief.mean - truth[:, None], belief.cov),
+        "payload_bytes": recorded.payload_bytes.astype(np.int32),
+        "asked": recorded.asked,
+        "classes": recorded.classes.astype(np.int16),
+        READINGS: recorded.readings if READINGS in keep else None,
+        AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
+        COV: belief.cov if COV in keep else None,
+        "suspect": recorded.suspect,
+        _PAST_MEAN: None if recorded.past is None else recorded.past.mean,
+        _PAST_STD: None if recorded.past is None else recorded.past.std,
+    }
+    _put(setup, arrays, at, values)
+
+
+def _put(
+    setup: Setup,
+    arrays: dict[str, np.ndarray],
+    at: tuple[int, slice, int],
+    values: Mapping[str, np.ndarray | None],
+) -> None:
+    """Put values of one step of some runs in their place, but what is None."""
+    runs, place, step = at
+    for name, value in values.items():
+        if value is not None:
+            shape = (runs, setup.scenario.steps, *value.shape[1:])
+            if name not in arrays:
+                arrays[name] = np.empty(shape, value.dtype)
+                if step:
+                    # Nothing drives the plant into the first step.
+                    arrays[name][:, :step] = np.nan
+            arrays[name][place, step] = value

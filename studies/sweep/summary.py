@@ -1,0 +1,165 @@
+"""The figures of a sweep's cells with their intervals: values for machines, a table for people."""
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from concord.results.figures.intervals import Interval
+from concord.scenarios.catalogue import definition_named
+from concord.studies.sweep.cell_data import CellData
+from concord.studies.sweep.results import flattened, specification_of
+from concord.studies.sweep.specification import shown
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class CellFigures(msgspec.Struct, frozen=True):
+    """One cell. Every figure is [value, low, high] with the bounds of the interval over its runs.
+
+    `to_centralised`, `to_bound` and `to_best` are ratios of root mean squares over the same runs:
+    to one filter that hears everything, to the posterior Cramer-Rao bound, to the best cell.
+    `settling_steps` counts from the change (`--change-step`) until the error stays settled.
+    """
+
+    cell: dict[str, str | float | int | bool | None]
+    rmse: Interval
+    to_centralised: Interval
+    to_bound: Interval
+    to_best: Interval
+    worst_node_to_centralised: Interval
+    blind_to_centralised: Interval
+    disagreement: Interval
+    anees: Interval
+    coverage: Interval
+    published: Interval
+    bytes_per_step: Interval
+    energy_per_step_mj: Interval
+    bus_load: Interval
+    delay_us: Interval
+    share_age_cycles: Interval
+    settling_steps: Interval
+
+
+class SweepFigures(msgspec.Struct, frozen=True):
+    """All cells, in order. RMSE and disagreement are in `unit`."""
+
+    unit: str
+    runs: int
+    seed: int | str
+    interval: str
+    cells: list[CellFigures]
+
+
+def figures_of(dataset: "xarray.Dataset", method: str = "t") -> SweepFigures:
+    """Return the figures of a result; `method` is one of `intervals.METHODS`."""
+    parts = [(cell, CellData(part, method)) for cell, part in flattened(dataset)]
+    errors = np.array([part.rms("rmse") for _, part in parts])
+    best = parts[int(np.nanargmin(errors)) if not np.isnan(errors).all() else 0][1]
+    specification = specification_of(dataset)
+    return SweepFigures(
+        unit=dataset["rmse"].attrs["units"],
+        runs=specification.runs,
+        seed=_plain(dataset.attrs["seed"]),
+        interval=method,
+        cells=[
+            CellFigures(cell=dict(cell.values), **_figures(
+                part, best, specification.change_step, _first_scored(cell.scenario.name)
+            ))
+            for cell, part in parts
+        ],
+    )  # fmt: skip
+
+
+def _figures(part: CellData, best: CellData, change_step: int, first: int) -> dict[str, Interval]:
+    steps = ~np.isnan(part.rms("error"))
+    bound = np.square(part.values("bound")[steps])[min(first, steps.sum() - 1) :].mean()
+    return {
+        "rmse": part.root_mean("rmse"),
+        "to_centralised": part.ratio("rmse", "rmse_centralised"),
+        "to_bound": part.root_mean("rmse", float(np.sqrt(bound))),
+        "to_best": part.to(best, "rmse"),
+        "worst_node_to_centralised": part.ratio("rmse_worst_node", "rmse_centralised"),
+        "blind_to_centralised": part.ratio("rmse_blind", "rmse_centralised"),
+        "disagreement": part.root_mean("disagreement"),
+        **{
+            name: part.mean(variable)
+            for name, variable in {
+                "anees": "anees", "coverage": "coverage", "published": "published",
+                "bytes_per_step": "bytes_per_step", "energy_per_step_mj": "energy_per_step",
+                "bus_load": "bus_load", "delay_us": "delay_us", "share_age_cycles": "share_age",
+            }.items()
+        },
+        "settling_steps": part.settling(change_step),
+    }  # fmt: skip
+
+
+def _plain(seed: object) -> int | str:
+    return seed if isinstance(seed, str) else int(seed)  # type: ignore[arg-type]
+
+
+def _first_scored(name: str) -> int:
+    return definition_named(name).score.first_step
+
+
+def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table:
+    """One row per cell, with as many columns as `width` characters hold."""
+    specification = specification_of(dataset)
+    fields = specification.dimensions
+    seed = figures.seed if isinstance(figures.seed, str) else f"seed {figures.seed}"
+    plural = "s" if len(figures.cells) > 1 else ""
+    grid = Table(
+        title=f"{len(figures.cells)} cell{plural} of {figures.runs} runs, {seed}; ± half of the "
+        f"95 % interval over runs ({figures.interval})",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    columns = {
+        f"RMSE {escape(f'[{figures.unit}]')}": lambda cell: _number(cell.rmse.value),
+        "x central": lambda cell: _with_half(cell.to_centralised),
+        "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell.to_best),
+        "ANEES": lambda cell: _with_half(cell.anees),
+        "B/step": lambda cell: _number(cell.bytes_per_step.value),
+        "load %": lambda cell: _number(100 * cell.bus_load.value),
+        "disagree": lambda cell: _number(cell.disagreement.value),
+        "covered %": lambda cell: _number(100 * cell.coverage.value),
+        "settled": lambda cell: _number(cell.settling_steps.value),
+    }
+    taken = sum(max(len(name), *(len(shown(c.cell[name])) for c in figures.cells)) + 2
+                for name in fields)  # fmt: skip
+    for name in fields:
+        grid.add_column(name, no_wrap=True)
+    said = []
+    for heading, say in columns.items():
+        texts = [say(cell) for cell in figures.cells]
+        taken += max(len(heading), *map(len, texts)) + 2
+        if said and taken > width:
+            break
+        grid.add_column(heading, justify="right", no_wrap=True)
+        said.append(texts)
+    for number, cell in enumerate(figures.cells):
+        if number and len(fields) > 1 and not specification.samples:
+            last = figures.cells[number - 1]
+            if any(cell.cell[name] != last.cell[name] for name in fields[:-1]):
+                grid.add_section()
+        grid.add_row(*(shown(cell.cell[name]) for name in fields), *(t[number] for t in said))
+    return grid
+
+
+def _is_best(cell: CellFigures) -> bool:
+    return cell.to_best.value == 1 and not cell.to_best.high > 1
+
+
+def _with_half(interval: Interval) -> str:
+    return f"{_number(interval.value)} {interval.spread()}".rstrip()
+
+
+def _number(value: float) -> str:
+    if np.isnan(value):
+        return "-"
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"

@@ -1,0 +1,93 @@
+"""FIBEX: the published sample, the round trip, and documents that are wrong."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from concord.bus.flexray.presets import AUDI, DEMO
+from concord.features.flexray_tools.files.fibex import cluster_from_fibex
+from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex
+from concord.features.flexray_tools.files.xml_document import ClusterFileError
+from tests.bus.support import quick
+
+
+def test_the_sample_loads_and_meets_constraint_18_exactly(sample_fibex: str):
+    cluster = cluster_from_fibex(sample_fibex.encode())
+    assert cluster.action_point_difference_macroticks == 3
+    assert 62 * 65 + 3 + 10 * 62 + 139 + 208 == cluster.macroticks_per_cycle == 5000
+    assert (cluster.static_slots, cluster.static_slot_macroticks) == (62, 65)
+    assert (cluster.minislots, cluster.minislot_macroticks) == (10, 62)
+    assert (cluster.name, cluster.channels) == ("FlexRayNetwork_1", "AB")
+    assert (cluster.cycle_us, cluster.macrotick_us, cluster.bit_rate_mbps) == (5000.0, 1.0, 10.0)
+    assert cluster.static_payload_words == 21
+    assert cluster_from_fibex(cluster_to_fibex(cluster)) == cluster
+
+
+def test_the_sample_without_a_field_or_with_a_contradiction_names_it(sample_fibex: str):
+    for element in ("N-I-T", "STATIC-SLOT", "MACROTICK", "ACTION-POINT-OFFSET"):
+        pattern = rf"<flexray:{element} [^>]*>[^<]*</flexray:{element}>"
+        without, count = re.subn(pattern, "", sample_fibex)
+        assert count == 1
+        with pytest.raises(ClusterFileError, match=f"<flexray:{element}>.*missing"):
+            cluster_from_fibex(without)
+    with pytest.raises(ClusterFileError, match=r"constraint 18.*4997.*N-I-T"):
+        cluster_from_fibex(sample_fibex.replace(">208<", ">205<"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<flexray:CYCLE>10000.0<", "<flexray:CYCLE>5000.0<", r"constraint 17.*MACROTICK"),
+        ("<flexray:STATIC-SLOT>272<", "<flexray:STATIC-SLOT>long<", "STATIC-SLOT.*'long'"),
+        ("<flexray:STATIC-SLOT>272<", "<flexray:STATIC-SLOT>1<", "gdStaticSlot"),
+        ("<flexray:MACROTICK>1.0<", "<flexray:MACROTICK>nan<", "MACROTICK"),
+        ("<flexray:CYCLE>10000.0<", "<flexray:CYCLE>inf<", "CYCLE"),
+        ("<flexray:MICROTICK>0.025<", "<flexray:MICROTICK>0<", "pdMicrotick"),
+        ("<flexray:BIT>0.1<", "<flexray:BIT>0.2<", "SPEED.*BIT"),
+        ("<flexray:BIT>0.1<", "<flexray:BIT>nan<", "BIT"),
+        ("<flexray:N-I-T>160<", "<flexray:N-I-T>9</flexray:N-I-T><flexray:N-I-T>160<", "N-I-T"),
+        ("<fx:CHANNEL-REF ID-REF=", "<fx:CHANNEL-REF ID-FER=", "CHANNEL-REF"),
+        ("NEL-NAME>A<", "NEL-NAME>C<", "FLEXRAY-CHANNEL-NAME"),
+        ("<ho:SHORT-NAME>demo<", "<ho:SHORT-NAME><", "SHORT-NAME"),
+        ("xmlns:flexray=", "xmlns:flexray='urn:other' xmlns:other=", "no <CLUSTER>"),
+    ],
+)
+def test_missing_and_contradictory_elements_are_named(old: str, new: str, said: str):
+    text = cluster_to_fibex(DEMO)
+    assert old in text
+    with pytest.raises(ClusterFileError, match=said):
+        cluster_from_fibex(text.replace(old, new, 1))
+
+
+def test_a_missing_bit_rate_is_named():
+    text = re.sub(
+        r"<fx:SPEED>.*</fx:SPEED>|<flexray:BIT>.*</flexray:BIT>", "", cluster_to_fibex(DEMO)
+    )
+    with pytest.raises(ClusterFileError, match="<SPEED> and <BIT>"):
+        cluster_from_fibex(text)
+
+
+def test_without_a_controller_the_segment_decides_what_may_be_sent_when():
+    text = re.sub(r"<fx:ECUS>.*</fx:ECUS>", "", cluster_to_fibex(AUDI), flags=re.DOTALL)
+    assert cluster_from_fibex(text) == AUDI
+
+
+def test_one_of_several_clusters_is_chosen_by_name():
+    one, other = cluster_to_fibex(DEMO), cluster_to_fibex(DEMO).replace(">demo<", ">second<")
+    second = re.search(r"<fx:CLUSTER ID.*</fx:CLUSTER>", other, flags=re.DOTALL)
+    assert second is not None
+    both = one.replace("</fx:CLUSTERS>", second.group() + "</fx:CLUSTERS>")
+    assert cluster_from_fibex(both, "second").name == "second"
+    with pytest.raises(ClusterFileError, match=r"several.*'demo', 'second'"):
+        cluster_from_fibex(both)
+    with pytest.raises(ClusterFileError, match="no <CLUSTER> 'third'"):
+        cluster_from_fibex(both, "third")
+
+
+@quick
+@given(st.one_of(st.binary(max_size=200), st.text(max_size=200)))
+def test_any_bytes_are_refused_politely(text: str | bytes):
+    with pytest.raises(ClusterFileError):
+        cluster_from_fibex(text)
