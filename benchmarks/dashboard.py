@@ -26,10 +26,10 @@ from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import McapRecorder
+from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.frame_formats import frame_format
 
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0

@@ -43,8 +43,8 @@ from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
 from concord.runtime.whole_steps import WholeSteps
 from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.frame_formats import frame_format
 
 TURNS, NETWORK_TURNS = 5, 3
 NODE_RUNGS = ("filters and loop", "codec", "state machine", "inbox and republisher")

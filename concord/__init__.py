@@ -5,10 +5,10 @@
     scenario = cc.scenario("target-tracking", nodes=20, graph="geometric")
     runs = cc.simulate(scenario.with_(rule="hcmci"), runs=50)
 
-docs/python_api.md explains each name. A name is loaded when it is first used.
+docs/python_api.md explains each name. A name is loaded when it is first used. Features and installed
+packages add names by their entries (`concord.entries`).
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from concord._version import __version__ as __version__
@@ -25,12 +25,6 @@ if TYPE_CHECKING:
     from concord.experiments.python_api import scenario as scenario
     from concord.experiments.python_api import simulate as simulate
     from concord.experiments.python_api import sweep as sweep
-    from concord.features.flexray_tools import api as flexray
-    from concord.features.measurement_bus.own_measured import (
-        on_a_measurement_bus as on_a_measurement_bus,
-    )
-    from concord.features.sets.bounded_plant import BoundedOutput as BoundedOutput
-    from concord.features.sets.bounded_plant import BoundedPlant as BoundedPlant
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
     from concord.plants.own_plant import from_control as from_control
@@ -39,41 +33,21 @@ if TYPE_CHECKING:
     from concord.scenarios.types import buses as buses
     from concord.scenarios.types import holds as holds
     from concord.scenarios.types import rules as rules
-    from concord.scenarios.types.filters import ConstrainedReceiver as ConstrainedReceiver
-    from concord.scenarios.types.filters import EllipsoidReceiver as EllipsoidReceiver
-    from concord.scenarios.types.filters import ZonotopeReceiver as ZonotopeReceiver
-
-_API = "concord.experiments.python_api"
-_OWN = "concord.plants.own_plant"
-_TYPES = "concord.scenarios.types"
-# The module of each public name, or the package of a public module.
-_HOMES = {
-    **dict.fromkeys(("agree", "compare", "design", "launch", "load", "plots"), _API),
-    **dict.fromkeys(("scenario", "simulate", "sweep"), _API),
-    **dict.fromkeys(("OwnPlant", "OwnSensor", "from_control"), _OWN),
-    **dict.fromkeys(("BoundedPlant", "BoundedOutput"), "concord.features.sets.bounded_plant"),
-    **dict.fromkeys(
-        ("ConstrainedReceiver", "EllipsoidReceiver", "ZonotopeReceiver"), f"{_TYPES}.filters"
-    ),
-    "on_a_measurement_bus": "concord.features.measurement_bus.own_measured",
-    "own_scenario": "concord.scenarios.definitions.own",
-    "Scenario": "concord.scenarios.scenario",
-    **dict.fromkeys(("buses", "holds", "rules"), _TYPES),
-    **dict.fromkeys(("filters", "flexray", "topology"), "concord"),
-}
+    from concord.scenarios.types import schedules as schedules
 
 
 if not TYPE_CHECKING:  # A checker would believe that concord has every name.
 
     def __getattr__(name: str) -> Any:
-        if name not in _HOMES:
-            raise AttributeError(f"concord has no {name!r}; it has {', '.join(sorted(_HOMES))}")
-        home = _HOMES[name]
-        if home == "concord":
-            return import_module(f"concord.{name}")
-        module = import_module(home)
-        return getattr(module, name) if hasattr(module, name) else import_module(f"{home}.{name}")
+        from concord.entries import chosen, entries
+
+        known = entries("NAMES")
+        if name not in known:
+            raise AttributeError(f"concord has no {name!r}; it has {', '.join(sorted(known))}")
+        return chosen("NAMES", name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    from concord.entries import entries
+
+    return sorted({*globals(), *entries("NAMES")})

@@ -1,12 +1,11 @@
 """The page of all options of a scenario, `docs/options.md`, made from their declarations.
 
-`python -m concord.experiments.options_page` writes it and the types of options after a change.
+`python -m concord.experiments.options_page` writes it after a change.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
 
-from concord.experiments import option_types
 from concord.experiments.scenario_flags import GROUPS
 from concord.scenarios.scenario_options import OfferedOption, offered_options
 
@@ -51,4 +50,3 @@ def _escaped(texts: tuple[str, ...]) -> Iterator[str]:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
-    option_types.FILE.write_text(option_types.text(), encoding="utf-8")

@@ -5,10 +5,11 @@ Nothing here starts processes or writes files unless it is asked to.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from concord.entries import summaries
 from concord.experiments.launching import launched
 from concord.filters.filter import Filter
 from concord.results.folder import ARRAYS
@@ -21,9 +22,7 @@ from concord.scenarios.scenario import Scenario, in_words
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.option import Choice
-from concord.scenarios.types.options import ScenarioOptions, SweptOptions
 from concord.scenarios.types.python_words import python_words
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import kept_source
 from concord.studies.agree import DriverDifference, agreement
 from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
 
 
 @python_words()
-def scenario(name: str, **options: Unpack[ScenarioOptions]) -> Scenario:
+def scenario(name: str, **options: Any) -> Scenario:
     """The scenario of a name, or of a file (FILE.py:NAME), with options as in `concord run`.
 
     Options have underscores: `scenario("oscillator", nodes=4, rule="hcmci")`.
@@ -141,7 +140,7 @@ def sweep(
     keep: Literal["moments", "figures", "histories"] | None = None,
     workers: int = 1,
     out: Path | str | None = None,
-    **options: Unpack[SweptOptions],
+    **options: Any,
 ) -> "xarray.Dataset":
     """Every combination of the options' values; docs/sweeps.md names the variables.
 
@@ -198,7 +197,7 @@ def compare(
     sources = own_rules([_word("rule", rule) for rule in rules])
     names = [getattr(rule, "__name__", source) for rule, source in zip(rules, sources, strict=True)]
     own = {
-        source if name in RULE_SUMMARIES or names.count(name) > 1 else name: source
+        source if name in summaries("RULES") or names.count(name) > 1 else name: source
         for name, source in zip(names, sources, strict=True)
     }
     entries = entries_of(asked_cases(cases, runs), own, None if data is None else str(data))
@@ -221,7 +220,7 @@ def design(
     load: float | None = None,
     runs: int = 100,
     workers: int = 1,
-    **options: Unpack[SweptOptions],
+    **options: Any,
 ) -> Design:
     """The cheapest network that meets an error target; its `recommended` is None if none does.
 

@@ -19,8 +19,8 @@ from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import occupancy_of
 from concord.scenarios.types.plants import PlacedSensors
+from concord.scenarios.types.schedules import occupancy_of
 
 if TYPE_CHECKING:
     import xarray

@@ -7,8 +7,8 @@ import msgspec
 
 from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import arbiter_of
 from concord.scenarios.types.option import Choice
+from concord.scenarios.types.schedules import arbiter_of
 from concord.scenarios.user.values import (
     FromFile,
     ValueSource,

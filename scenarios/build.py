@@ -9,7 +9,6 @@ import numpy as np
 from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
-from concord.features.control.scenario import control_node
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
@@ -20,6 +19,7 @@ from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
 from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.definitions.closed_loop import control_node
 from concord.scenarios.equipment import build_faults, spread_of
 from concord.scenarios.filters import build_filter, models_of
 from concord.scenarios.links import link_state
@@ -29,7 +29,8 @@ from concord.scenarios.rules import build_estimator, hold_policy, is_set_valued,
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
-from concord.scenarios.types.buses import stretch_of, trigger_of
+from concord.scenarios.types.buses import stretch_of
+from concord.scenarios.types.schedules import trigger_of
 
 # Steps by which an undriven environment may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4

@@ -2,38 +2,19 @@
 
 import numpy as np
 
-from concord.features.control import scenario as control
-from concord.features.measurement_bus import meng2025, meng2025_network
-from concord.features.recorded import scenario as mrclam
-from concord.features.sets import liu2021, liu2021_network
-from concord.features.several_targets import scenario as target_swarm
-from concord.features.vehicle import scenario as vehicle_network
+from concord.entries import chosen, entries
 from concord.filters.metrics import nees
-from concord.scenarios.definitions import oscillator, own, target_tracking
+from concord.scenarios.definitions import own
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.plants import UserPlant
 from concord.scenarios.user.values import is_source_name, source_of
 from concord.topology.names import unknown_name
 
-_DEFINITIONS: dict[str, ScenarioDefinition] = {
-    "target-tracking": target_tracking.TURNING,
-    "target-crossing": target_tracking.CROSSING,
-    "target-swarm": target_swarm.DEFINITION,
-    "oscillator": oscillator.DEFINITION,
-    "mrclam": mrclam.DEFINITION,
-    **control.DEFINITIONS,
-    "meng2025": meng2025.DEFINITION,
-    "meng2025-network": meng2025_network.DEFINITION,
-    "liu2021": liu2021.DEFINITION,
-    "liu2021-network": liu2021_network.DEFINITION,
-    "vehicle-network": vehicle_network.DEFINITION,
-}
-
 
 def definitions() -> dict[str, ScenarioDefinition]:
-    """All scenarios by name."""
-    return dict(_DEFINITIONS)
+    """All scenarios by name; loads every one of them."""
+    return {name: definition_named(name) for name in entries("SCENARIOS")}
 
 
 def definition_of(scenario: Scenario) -> ScenarioDefinition:
@@ -44,7 +25,7 @@ def definition_of(scenario: Scenario) -> ScenarioDefinition:
     """
     if isinstance(scenario.plant, UserPlant):
         return own.user_definition(scenario.plant.where)
-    return _DEFINITIONS[scenario.name]
+    return definition_named(scenario.name)
 
 
 def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -67,6 +48,12 @@ def definition_named(name: str) -> ScenarioDefinition:
     """
     if is_source_name(name):
         return own.user_definition(source_of(name))
-    if name not in _DEFINITIONS:
-        raise unknown_name("scenario", name, _DEFINITIONS)
-    return _DEFINITIONS[name]
+    if name not in entries("SCENARIOS"):
+        raise unknown_name("scenario", name, entries("SCENARIOS"))
+    found = chosen("SCENARIOS", name)
+    if not isinstance(found, ScenarioDefinition):
+        raise ValueError(
+            f"scenario {name!r}: its entry is a {type(found).__name__}; make it a "
+            "ScenarioDefinition (docs/adding_a_scenario.md)"
+        )
+    return found

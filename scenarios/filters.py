@@ -1,145 +1,42 @@
 """Filters of the nodes by name, as the values that predict and update."""
 
-from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.features.vehicle.adaptive.adaptive_filter import AdaptiveFilter
-from concord.features.vehicle.adaptive.correntropy import CorrentropyFilter
-from concord.features.vehicle.adaptive.dual_layer import DualLayerFilter
-from concord.features.vehicle.adaptive.fuzzy_noise import FuzzyMatching
-from concord.features.vehicle.adaptive.sage_husa import Bounds, SageHusa
-from concord.filters.extended import ExtendedFilter
+from concord.entries import chosen
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
-from concord.filters.interacting_models import InteractingModels, Mode
-from concord.filters.iterated import IteratedFilter
 from concord.filters.linalg import cholesky
-from concord.filters.sigma_point_filter import SigmaPointFilter
-from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
-from concord.filters.square_root_filter import SquareRootFilter
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.plants.motion import CoordinatedTurn
+from concord.scenarios.filter_entry import FilterEntry
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.filters import (
-    AdaptiveDualLayer,
-    AdaptiveUnscented,
-    CubatureFilter,
-    FilterBase,
-    FuzzyUnscented,
-    InteractingMultipleModels,
-    IteratedTangentFilter,
-    LinearFilter,
-    MaximumCorrentropy,
-    NoiseLearningFilter,
-    PosteriorLinearisation,
-    SageHusaBase,
-    SetFilter,
-    SquareRootCubature,
-    SquareRootUnscented,
-    TangentFilter,
-    UnscentedFilter,
-    UserFilter,
-)
+from concord.scenarios.types.filters import FilterBase, NoiseLearningFilter, UserFilter
 from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.values import ValueSource, value_of
 
 # Affine functions pass through three points on a line to so many roundings of the values.
 _ROUNDINGS = 1e-9
-_EXACT_STEP = 1.0
-"""Step of the differences of an affine model, in standard deviations: the larger the more exact."""
-
-
-class FilterEntry(NamedTuple):
-    """A filter of the table.
-
-    Attributes:
-        build: (its value in the scenario, the scenario's sigma points) -> the filter.
-        linear: serves only plants and sensors that are linear.
-        singular: takes covariances without an inverse.
-        robust: departs from the Kalman filter on linear models, on purpose.
-        models: number of models of a belief.
-    """
-
-    build: Callable[[Any, SigmaPointRule], Filter]
-    linear: bool = False
-    singular: bool = False
-    robust: bool = False
-    models: int = 1
-
-
-def _bounds(choice: NoiseLearningFilter) -> Bounds:
-    return Bounds(choice.least_noise, choice.most_noise)
-
-
-def _sage_husa(choice: SageHusaBase) -> SageHusa:
-    return SageHusa(choice.forgetting, _bounds(choice), choice.outlier_limit)
-
-
-def _fuzzy(choice: FuzzyUnscented) -> FuzzyMatching:
-    return FuzzyMatching(choice.innovations, _bounds(choice))
-
-
-def _straight_and_turning(
-    choice: InteractingMultipleModels, points: SigmaPointRule
-) -> InteractingModels:
-    states = points.unit_points.shape[1]
-    # The rate of turn is the last state.
-    straight = Mode(held=(states - 1,), std=choice.turn_rate_std)
-    return InteractingModels(SigmaPointFilter(points), states, (straight, Mode()), choice.change)
-
-
-_FILTERS: dict[type[FilterBase], FilterEntry] = {
-    UnscentedFilter: FilterEntry(lambda _, points: SigmaPointFilter(points)),
-    CubatureFilter: FilterEntry(
-        lambda _, points: SigmaPointFilter(cubature(points.unit_points.shape[1]))
-    ),
-    SquareRootUnscented: FilterEntry(lambda _, points: SquareRootFilter(points)),
-    SquareRootCubature: FilterEntry(
-        lambda _, points: SquareRootFilter(cubature(points.unit_points.shape[1]))
-    ),
-    TangentFilter: FilterEntry(lambda _, points: ExtendedFilter(), singular=True),
-    LinearFilter: FilterEntry(
-        lambda _, points: ExtendedFilter(_EXACT_STEP), linear=True, singular=True
-    ),
-    PosteriorLinearisation: FilterEntry(
-        lambda choice, points: IteratedFilter(SigmaPointFilter(points), choice.iterations)
-    ),
-    IteratedTangentFilter: FilterEntry(
-        lambda choice, _: IteratedFilter(ExtendedFilter(), choice.iterations), singular=True
-    ),
-    InteractingMultipleModels: FilterEntry(_straight_and_turning, robust=True, models=2),
-    MaximumCorrentropy: FilterEntry(
-        lambda choice, points: CorrentropyFilter(points, choice.bandwidth, choice.iterations),
-        robust=True,
-    ),
-    AdaptiveUnscented: FilterEntry(
-        lambda choice, points: AdaptiveFilter(SigmaPointFilter(points), _sage_husa(choice), points)
-    ),
-    FuzzyUnscented: FilterEntry(
-        lambda choice, points: AdaptiveFilter(SigmaPointFilter(points), _fuzzy(choice), points)
-    ),
-    AdaptiveDualLayer: FilterEntry(
-        lambda choice, points: AdaptiveFilter(DualLayerFilter(points), _sage_husa(choice), points)
-    ),
-    UserFilter: FilterEntry(lambda choice, _: _user_filter(choice.where), singular=True),
-}
 
 
 def entry_of(choice: FilterBase) -> FilterEntry:
     """The entry of a filter in the table.
 
     Raises:
-        ValueError: the filter belongs to the receiver of a measurement bus.
+        ValueError: only some scenarios have the filter.
     """
-    if type(choice) not in _FILTERS:
+    if choice.unavailable:
+        raise ValueError(f"--filter {choice.name}: {choice.unavailable}")
+    if isinstance(choice, UserFilter):
+        return FilterEntry(lambda one, _: _user_filter(one.where), singular=True)
+    found = chosen("FILTERS", choice.name)
+    if not isinstance(found, FilterEntry):
         raise ValueError(
-            f"--filter {choice.name}: it is for the receiver of a measurement bus, as --scenario "
-            "meng2025 or liu2021 has one; leave it out"
+            f"--filter {choice.name}: its entry is a {type(found).__name__}; make it a FilterEntry"
         )
-    return _FILTERS[type(choice)]
+    return found
 
 
 def build_filter(choice: FilterBase, states: int, points: SigmaPointRule | None = None) -> Filter:
@@ -153,8 +50,7 @@ def build_filter(choice: FilterBase, states: int, points: SigmaPointRule | None 
 
 def models_of(choice: FilterBase) -> int:
     """The number of models of a belief of a filter."""
-    entry = _FILTERS.get(type(choice))
-    return 1 if entry is None else entry.models
+    return 1 if choice.unavailable else entry_of(choice).models
 
 
 def check_shares(scenario: Scenario, are_beliefs: bool) -> None:
@@ -237,8 +133,7 @@ def check_prior(choice: FilterBase, prior: Gaussian) -> None:
     Raises:
         ValueError: naming the filter and the cure.
     """
-    entry = _FILTERS.get(type(choice))
-    if isinstance(choice, SetFilter) or (entry is not None and entry.singular):
+    if choice.set_valued or (not choice.unavailable and entry_of(choice).singular):
         return
     if np.isnan(cholesky(prior.cov)).any():
         raise ValueError(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import ceil
+from typing import cast
 
 import numpy as np
 
@@ -18,17 +19,14 @@ from concord.nodes.rules.labelled.frame import (
 )
 from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_codec import PACKED, reading_bytes, record_codec
+from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
-from concord.scenarios.types.buses import DynamicSchedule, FlexRay, occupancy_of, trigger_of
-from concord.scenarios.types.frame_formats import frame_format
-from concord.scenarios.types.rules import (
-    LEAST_WINDOW_STEPS,
-    EllipsoidFlooding,
-    MeasurementFlooding,
-)
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, FloodingRule, MeasurementFlooding
+from concord.scenarios.types.schedules import DynamicSchedule, occupancy_of, trigger_of
 
 RECORD_NUMBERS = {"int12": PACKED, "int16": "<i2", "float32": "<f4", "float64": "<f8"}
 # Nodes learn of a loss from the next shares of their neighbours. Longer digests gain little.
@@ -44,16 +42,11 @@ _LEAST_CONTENT_BYTES = 96
 _USUAL_PAYLOAD_BYTES = 254
 
 
-def flooding_of(scenario: Scenario) -> MeasurementFlooding | EllipsoidFlooding:
-    """The rule of a scenario that floods measurements."""
-    rule = scenario.rule
-    assert isinstance(rule, MeasurementFlooding | EllipsoidFlooding), "the table of rules chose it"
-    return rule
-
-
-def _checkpoint_number(scenario: Scenario) -> str:
-    # A set must hold what was sent, so that its checkpoint is not rounded.
-    return "<f8" if isinstance(scenario.rule, EllipsoidFlooding) else "<f4"
+def flooding_of(scenario: Scenario) -> MeasurementFlooding:
+    """The rule of a scenario that floods measurements; one of another class has its options as
+    constants."""
+    assert isinstance(scenario.rule, FloodingRule), "the table of rules chose it"
+    return cast(MeasurementFlooding, scenario.rule)
 
 
 def frame_codec(
@@ -68,7 +61,7 @@ def frame_codec(
     number = RECORD_NUMBERS[flooding_of(scenario).record_number]
     return LabelledFrameCodec(
         [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
-        BeliefCodec(states, _checkpoint_number(scenario)),
+        BeliefCodec(states, flooding_of(scenario).checkpoint_number),
         window_of(scenario, neighbours),
         digest_of(scenario),
         largest_share(scenario, states),
@@ -95,7 +88,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     """
     form, checkpoint = (
         frame_format(scenario),
-        BeliefCodec(states, _checkpoint_number(scenario)).size,
+        BeliefCodec(states, flooding_of(scenario).checkpoint_number).size,
     )
     asked = flooding_of(scenario).payload_bytes
     most = _USUAL_PAYLOAD_BYTES if asked is None else asked

@@ -1,20 +1,46 @@
 """A scenario: everything that decides the numbers of a run, as one frozen value."""
 
-from typing import Annotated, Any, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import msgspec
 import numpy as np
 
+from concord.entries import entries, member
 from concord.scenarios.types.assignment import assigned, refuse_left
-from concord.scenarios.types.buses import BusChoice, FlexRay, FullSchedule, bus_type
+from concord.scenarios.types.buses import FlexRay, SharedBus, UserBus
+from concord.scenarios.types.choices import choice_of
 from concord.scenarios.types.declarations import every_option
-from concord.scenarios.types.filters import FilterChoice, UnscentedFilter
+from concord.scenarios.types.filters import FilterBase, UnscentedFilter, UserFilter
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option
-from concord.scenarios.types.options import ScenarioOptions
-from concord.scenarios.types.plants import PlantChoice
+from concord.scenarios.types.plants import SensedPlantChoice, UserPlant
 from concord.scenarios.types.python_words import python_words
-from concord.scenarios.types.rules import CovarianceIntersection, RuleChoice
+from concord.scenarios.types.rules import (
+    AverageRule,
+    CovarianceIntersection,
+    FusionRule,
+    UserRule,
+)
+from concord.scenarios.types.schedules import FullSchedule
+
+if TYPE_CHECKING:
+    PlantChoice = SensedPlantChoice
+    RuleChoice = FusionRule
+    BusChoice = SharedBus
+    FilterChoice = FilterBase
+else:
+    PlantChoice = choice_of("SCENARIOS", UserPlant, base=SensedPlantChoice)
+    RuleChoice = choice_of("RULES", UserRule, base=AverageRule)
+    BusChoice = choice_of("BUSES", UserBus)
+    FilterChoice = choice_of(
+        "FILTERS", *get_args(choice_of("RECEIVERS", UserFilter)), base=FilterBase
+    )
+
+
+def bus_type(name: str) -> type[SharedBus]:
+    """The class of a bus by its name; that of a user's bus for all other names."""
+    known = entries("BUSES")
+    return member(known[name].options) if name in known else UserBus
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,7 +93,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return self.network.nodes
 
     @python_words()
-    def with_(self, **options: Unpack[ScenarioOptions]) -> "Scenario":
+    def with_(self, **options: Any) -> "Scenario":
         """The scenario with other options, each by its own name, wherever it is nested.
 
         A choice is given by its name or as a value: `with_(rule="labelled", window_steps=8)`.

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.sets.set_shapes import set_form
 from concord.filters.fusion.packed import packed_length
 from concord.nodes.share_forms import (
     ShareForm,
@@ -53,11 +52,6 @@ BELIEFS = ShareKind(
     lambda states, _: packed_length(states),
     {"<f4": lambda states, _: SingleBelief(states), "<u2": lambda states, _: TwoByteBelief(states)},
 )
-ELLIPSOIDS = ShareKind(
-    "belief",
-    lambda states, _: packed_length(states),
-    {"<u2": lambda states, _: set_form(states)},
-)
 INFORMATION_PAIRS = ShareKind(
     "share",
     lambda states, _: packed_length(states),
@@ -70,4 +64,3 @@ HYBRID = ShareKind(
 )
 NOVELTIES = ShareKind("share", lambda states, _: packed_length(states))
 NOVELTIES_AND_MEANS = ShareKind("share", lambda states, _: packed_length(states) + states)
-ZONOTOPES = ShareKind("share", lambda states, _: states + states**2)

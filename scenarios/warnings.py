@@ -15,14 +15,6 @@ from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import lossy_links
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
-from concord.scenarios.types.buses import (
-    URGENCY,
-    ContendedSchedule,
-    WrittenSchedule,
-    arbiter_of,
-    occupancy_of,
-    trigger_of,
-)
 from concord.scenarios.types.holds import Decayed, Raw
 from concord.scenarios.types.rules import (
     ClassicalHybridConsensus,
@@ -33,6 +25,14 @@ from concord.scenarios.types.rules import (
     TrimmedCovarianceIntersection,
     WeightedAverage,
     hold_of,
+)
+from concord.scenarios.types.schedules import (
+    URGENCY,
+    ContendedSchedule,
+    WrittenSchedule,
+    arbiter_of,
+    occupancy_of,
+    trigger_of,
 )
 from concord.topology.analysis import rounds_to
 from concord.topology.robustness import is_robust

@@ -15,8 +15,9 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import DynamicSchedule, FlexRay, PartialSchedule
+from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.schedules import DynamicSchedule, PartialSchedule
 
 # A larger network takes longer than a reader of figures wants to wait: some seconds here.
 _MOST_LANE_STEPS = 4_000

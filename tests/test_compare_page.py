@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.entries import summaries
 from concord.studies.compare.suite import SUITE
 from tests.features.flexray_tools.flexray_support import concord
 from tests.pages import ROOT, blocks, commands, run_as_reader
@@ -28,7 +28,7 @@ def tables() -> list[list[list[str]]]:
 @pytest.mark.parametrize("number", range(5))
 def test_each_table_of_figures_has_every_built_in_rule_and_every_case(number: int):
     head, _, *rows = [table for table in tables() if table[0][0] == "rule"][number]
-    assert sorted(row[0] for row in rows) == sorted(RULE_SUMMARIES)
+    assert sorted(row[0] for row in rows) == sorted(summaries("RULES"))
     assert head[1:] == [case.name for case in SUITE]
 
 

@@ -18,15 +18,15 @@ from concord.nodes.faults.vocabulary import EVERY_FAULT
 from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import DRIVERS, in_memory
-from concord.scenarios.bus_plan import cluster_names
 from concord.scenarios.catalogue import definitions
+from concord.scenarios.flexray_plan import cluster_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import rule_of
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import RuleChoice, Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.option import name_of
-from concord.scenarios.types.rules import RuleChoice, UserRule
+from concord.scenarios.types.rules import UserRule
 from concord.studies.agree import first_difference
 from concord.studies.near_agreement import departures
 from concord.topology.choices import GRAPHS, WEIGHTS

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus
+from concord.features.several_targets.options import TargetSwarm
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import TargetSwarm
 
 SCENE_WIDTH = 20.0
 """Width of the drawn network in units of the scene, whatever it measures in metres."""

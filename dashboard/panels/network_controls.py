@@ -7,12 +7,12 @@ import viser
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.panels.commands import Commands
+from concord.entries import summaries
 from concord.scenarios.bus_plan import arbiter_names
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import arbiter_of, occupancy_of
-from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.scenarios.types.schedules import arbiter_of, occupancy_of
 
-_RULES = tuple(RULE_SUMMARIES)
+_RULES = tuple(summaries("RULES"))
 
 
 class NetworkControls:

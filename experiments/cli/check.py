@@ -12,14 +12,13 @@ import numpy as np
 import tyro
 
 from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.entries import summaries
 from concord.experiments.user_errors import user_errors
 from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.types.filters import FILTER_SUMMARIES
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.studies.check.arbiter_promises import ARBITER_PROMISES, checked_arbiter
 from concord.studies.check.filter_promises import FILTER_PROMISES, checked_filter
@@ -100,10 +99,10 @@ def _subject(name: str, output: CheckOptions) -> tuple[Any, Sequence[Promise[Any
         is_scenario = isinstance(value, Scenario | ScenarioDefinition)
         is_filter, is_arbiter = isinstance(value, Filter), _is_arbiter(value)
     else:
-        is_scenario, is_filter = name in definitions(), name in FILTER_SUMMARIES
+        is_scenario, is_filter = name in definitions(), name in summaries("FILTERS")
         is_arbiter = name in ARBITERS
-        if not (is_scenario or is_filter or is_arbiter or name in RULE_SUMMARIES):
-            known = [*RULE_SUMMARIES, *FILTER_SUMMARIES, *ARBITERS, *definitions()]
+        if not (is_scenario or is_filter or is_arbiter or name in summaries("RULES")):
+            known = [*summaries("RULES"), *summaries("FILTERS"), *ARBITERS, *definitions()]
             raise unknown_name("rule, filter, arbiter or scenario", name, known)
     if is_scenario:
         return checked_scenario(scenario_of(name)), SCENARIO_PROMISES

@@ -1,62 +1,24 @@
 """The command line: every `concord` command by its name."""
 
-import ast
 import signal
 import sys
 from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from tyro.extras import SubcommandApp
 
 from concord._version import __version__
+from concord.entries import chosen, entries
 from concord.experiments.repeated_options import refuse_repeated
 from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
 from concord.runtime.failure import RunFailed
 from concord.topology.names import unknown_name
 
-# File and function of each command. A file is loaded when its command is asked for: together they
-# take scipy, networkx and half a second, which most commands can do without.
-COMMANDS = {
-    "run": ("run", "run"),
-    "collect": ("collect", "collect"),
-    "audit": ("audit", "audit_folder"),
-    "dashboard": ("dashboard", "dashboard"),
-    "replay": ("dashboard", "replay"),
-    "control": ("control", "control"),
-    "list": ("list", "list_all"),
-    "agree": ("agree", "agree"),
-    "check": ("check", "check"),
-    "new": ("new", "new"),
-    "reproduce": ("reproduce", "reproduce"),
-    "identify": ("identify", "identify_tyres"),
-    "sweep": ("sweep", "sweep"),
-    "merge": ("sweep", "merge"),
-    "compare": ("compare", "compare"),
-    "design": ("design", "design"),
-    "plot": ("plot", "plot"),
-    "report": ("report", "report"),
-    "keys": ("keys", "keys"),
-    "setup": ("hosts", "setup"),
-    "router": ("hosts", "router"),
-    "environment": ("hosts", "environment"),
-    "node": ("hosts", "node"),
-    "up": ("hosts", "up"),
-    "doctor": ("doctor", "doctor"),
-    "simulation-testing": ("simulation_testing", "simulation_testing"),
-    "lives": ("simulation_testing", "lives"),
-    "help": ("command_line", "show_help"),
-    "version": ("command_line", "print_version"),
-    "completion": ("command_line", "print_completion"),
-}
 # Names that commands had before.
 FORMER_NAMES = {"torture": "simulation-testing"}
-# Those that have commands of their own; beside these stands their SUMMARY.
-GROUPS = {"flexray": ("flexray", "COMMANDS"), "topology": ("topology", "COMMANDS")}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -118,14 +80,14 @@ def _command(asked: list[str]) -> Callable[[list[str]], object]:
 
     It is one of all commands where none, an option or a group is asked for.
     """
-    everything = COMMANDS | GROUPS
     with user_errors():
+        everything = entries("COMMANDS")
         if asked and asked[0] not in everything and not asked[0].startswith("-"):
             raise unknown_name("command", asked[0], everything)
-    if asked and asked[0] in COMMANDS:
+        loaded = chosen("COMMANDS", asked[0]) if asked and asked[0] in everything else None
+    if loaded is not None and not isinstance(loaded, dict):
         # Alone: a table of commands makes tyro load typeguard, for a tenth of a second.
-        function = _loaded(asked[0])
-        return lambda arguments: tyro.cli(function, prog=f"concord {asked[0]}", args=arguments[1:])
+        return lambda arguments: tyro.cli(loaded, prog=f"concord {asked[0]}", args=arguments[1:])
     return lambda arguments: _commands(asked).cli(
         prog="concord",
         description="Distributed consensus sensor networks on a FlexRay bus.",
@@ -133,44 +95,28 @@ def _command(asked: list[str]) -> Callable[[list[str]], object]:
     )
 
 
-def _loaded(name: str) -> Any:
-    file, function = (COMMANDS | GROUPS)[name]
-    return getattr(import_module(f"concord.experiments.cli.{file}"), function)
-
-
 def _commands(asked: list[str]) -> SubcommandApp:
     """Return the group that is asked for, alone; all commands where none or an option is."""
-    everything = COMMANDS | GROUPS
+    everything = entries("COMMANDS")
     commands = SubcommandApp()
     if asked in ([], ["-h"], ["--help"]):
-        for name, (file, function) in everything.items():
-            commands.command(name=name, help=_summary(file, function))(_nothing)
+        for name, entry in everything.items():
+            commands.command(name=name, help=entry.summary)(_nothing)
         return commands
     for name in [name for name in asked if name in everything] or everything:
-        if name in GROUPS:
+        loaded = chosen("COMMANDS", name)
+        if isinstance(loaded, dict):
             group = SubcommandApp()
-            for inner, function in _loaded(name).items():
+            for inner, function in loaded.items():
                 group.command(function, name=inner)
-            commands.command(group, name=name, help=_summary(*GROUPS[name]))
+            commands.command(group, name=name, help=everything[name].summary)
         else:
-            commands.command(_loaded(name), name=name)
+            commands.command(loaded, name=name)
     return commands
 
 
 def _nothing() -> None:
     """Stand for a command of which only the summary is asked for."""
-
-
-def _summary(file: str, function: str) -> str:
-    """Return what a command is for, from its file, which is not loaded."""
-    tree = ast.parse(Path(__file__).with_name(f"{file}.py").read_text(encoding="utf-8"))
-    for statement in tree.body:
-        match statement:
-            case ast.Assign(targets=[ast.Name("SUMMARY")], value=ast.Constant(str(summary))):
-                return summary
-            case ast.FunctionDef(name) if name == function:
-                return (ast.get_docstring(statement) or "").partition("\n\n")[0]
-    raise AssertionError(f"{file}.py has no {function}")
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

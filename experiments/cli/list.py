@@ -10,15 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from concord.entries import summaries
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
-from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
+from concord.scenarios.bus_plan import arbiter_names, schedule_names
 from concord.scenarios.catalogue import definitions
+from concord.scenarios.flexray_plan import cluster_names
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.scenario_options import offered_options
-from concord.scenarios.types.buses import WrittenSchedule
-from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.option import name_of
-from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.scenarios.types.schedules import WrittenSchedule
 from concord.topology.choices import GRAPHS, WEIGHTS
 from concord.topology.link_names import NAMES as LINK_NAMES
 
@@ -55,7 +55,8 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         }
         faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
         everything = {
-            "scenarios": scenarios, "rules": RULE_SUMMARIES, "filters": FILTER_SUMMARIES, **names,
+            "scenarios": scenarios, "rules": summaries("RULES"),
+            "filters": summaries("FILTERS"), **names,
             "own": own, "faults": faults,
         }  # fmt: skip
         sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
@@ -73,15 +74,15 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         )
     console.print(scenarios)
     faults = {escape(usage(word)): fault.summary for word, fault in EVERY_FAULT.items()}
-    for what, meaning, summaries in (
-        ("rule", "what it promises", RULE_SUMMARIES),
-        ("filter", "what it is", FILTER_SUMMARIES),
+    for what, meaning, described in (
+        ("rule", "what it promises", summaries("RULES")),
+        ("filter", "what it is", summaries("FILTERS")),
         ("fault", "what happens", faults),
     ):
-        described = Table(what, meaning)
-        for name, summary in summaries.items():
-            described.add_row(name, summary)
-        console.print(described)
+        table = Table(what, meaning)
+        for name, summary in described.items():
+            table.add_row(name, summary)
+        console.print(table)
     for what, values in names.items():
         console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
     for name, of_option in own.items():

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from concord.entries import summaries
 from concord.experiments.simulation_testing.case import (
     OWN_FIELDS,
     SimulationCase,
@@ -25,7 +26,6 @@ from concord.scenarios.bus_plan import arbiter_names, schedule_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import offered_options, scenario_with_known
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.topology.names import unknown_name
 
 _ATTEMPTS = 200
@@ -46,7 +46,7 @@ _OFTEN = {"ci": 5, "hcmci": 4, "labelled": 5, "wac": 3, "trimmed-ci": 3}
 _OWN = ("reception", "track-ci", *_CERTAIN)
 # It takes some cases of ci, so that the others are drawn as ever.
 _SHARP = "sharp-ci"
-_RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN, _SHARP}}
+_RULES = _OFTEN | {rule: 1 for rule in summaries("RULES") if rule not in {*_OFTEN, *_OWN, _SHARP}}
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")
 _HOLDS_OF_SETS = {"decayed": "predict", "renormalise": "drop", "in-step": "drop"}

@@ -15,21 +15,22 @@ from concord.features.control.motor import (
     motor_speed,
     motor_speed_controller,
 )
-from concord.features.control.pitch import pitch, pitch_controller
-from concord.features.control.suspension import suspension, suspension_controller
-from concord.plants.linear import LinearPlant
-from concord.scenarios.scenario import Scenario
-from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import (
+from concord.features.control.options import (
     AircraftPitch,
-    ControlledPlant,
     CruiseControl,
     MotorPosition,
     MotorSpeed,
     Suspension,
 )
+from concord.features.control.pitch import pitch, pitch_controller
+from concord.features.control.suspension import suspension, suspension_controller
+from concord.plants.linear import LinearPlant
+from concord.scenarios.definitions.closed_loop import control_node
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import ControlledPlant
 
 OPEN, TRUTH = "open", "truth"
 
@@ -97,14 +98,6 @@ def controlled(scenario: Scenario) -> ControlledPlant:
     return scenario.plant
 
 
-def control_node(scenario: Scenario) -> int | None:
-    """The node whose estimate closes the loop; None where no estimate does."""
-    plant = scenario.plant
-    if not isinstance(plant, ControlledPlant) or not plant.control.isdigit():
-        return None
-    return int(plant.control)
-
-
 def check_control(scenario: Scenario) -> None:
     """Refuse a --control that there is not.
 
@@ -154,4 +147,6 @@ def _definition(plant: _Plant) -> ScenarioDefinition:
     )
 
 
-DEFINITIONS = {name: _definition(plant) for name, plant in _PLANTS.items()}
+CRUISE_CONTROL, SUSPENSION, AIRCRAFT_PITCH, DC_MOTOR_SPEED, DC_MOTOR_POSITION = map(
+    _definition, _PLANTS.values()
+)

@@ -7,7 +7,7 @@ the weights of the bids.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,10 +33,14 @@ from concord.features.measurement_bus.measurement_bus import (
 from concord.features.measurement_bus.measurement_codec import MeasurementCodec
 from concord.features.measurement_bus.measurement_runs import estimate, first_received
 from concord.features.measurement_bus.one_by_one import OneByOne
-from concord.features.measurement_bus.receivers import ReceiverParts, build_receiver, check_receiver
+from concord.features.measurement_bus.options import Reception, SensorSlots
+from concord.features.measurement_bus.receivers import (
+    ReceiverParts,
+    check_receiver,
+    receiver_definition,
+)
 from concord.features.measurement_bus.reception import Receiver, ReceiverNode, SensorNode
 from concord.features.measurement_bus.stochastic_ukf import Received
-from concord.features.sets.filters.lifted_cycle import LinearBoundedSystem
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.commands import Inject, Kill, Restart
@@ -55,9 +59,7 @@ from concord.scenarios.scenario_definition import (
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.assignment import flat
-from concord.scenarios.types.buses import SensorSlots, trigger_of
-from concord.scenarios.types.filters import SetFilter
-from concord.scenarios.types.rules import Reception
+from concord.scenarios.types.schedules import trigger_of
 from concord.topology.names import unknown_name
 
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"
@@ -87,7 +89,7 @@ class PlantOnBus(NamedTuple):
     points: SigmaPointRule
     weights: WeightsAt
     first_slot: int = 0
-    bounded: LinearBoundedSystem | None = None
+    bounded: Any | None = None
     held_half_width: float = 0.0
 
     @property
@@ -192,7 +194,7 @@ def receiver_of(
         first_received(on_bus.system, prior.mean),
         losing_bids,
     )
-    return build_receiver(scenario.filter, parts)
+    return receiver_definition(scenario.filter).build(scenario.filter, parts)
 
 
 def _lacking(scenario: Scenario) -> str | None:
@@ -230,7 +232,7 @@ def _batched(plant_of: PlantOf, setup: Setup, bus: Bus, links: Links) -> Batched
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     receiver = receiver_of(on_bus, scenario, prior, losing_bids_of(bus))
     return BatchedReception(
-        OneByOne(receiver) if isinstance(scenario.filter, SetFilter) else receiver,
+        OneByOne(receiver) if receiver_definition(scenario.filter).one_by_one else receiver,
         bus_of(on_bus, scenario),
         first_received(on_bus.system, prior.mean),
         _codec(on_bus, scenario),
@@ -283,7 +285,7 @@ def _check(plant_of: PlantOf, scenario: Scenario) -> None:
     require(trigger == 0, "trigger", trigger, "0: sensors ask in every slot")
     bus = bus_of(on_bus, scenario)
     check_receiver(scenario, on_bus.bounded is not None)
-    if isinstance(scenario.filter, SetFilter) and scenario.filter.losers:
+    if getattr(scenario.filter, "losers", False):
         _check_losers(scenario, {node for row in bus.schedule.contender_table for node in row})
 
 

@@ -11,16 +11,19 @@ import numpy as np
 from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
 from concord.features.measurement_bus.measurement_bus import RECEIVER
+from concord.features.measurement_bus.options import (
+    Reception,
+    RecommendedFilter,
+    SensorSlots,
+    StochasticReceiver,
+)
 from concord.features.measurement_bus.sensed import sensors_on_a_bus
 from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
-from concord.scenarios.types.buses import FlexRay, SensorSlots
-from concord.scenarios.types.filters import RecommendedFilter
+from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import StochasticReceiver
-from concord.scenarios.types.rules import Reception
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 

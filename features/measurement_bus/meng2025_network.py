@@ -14,13 +14,13 @@ from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.measurement_bus import MeasurementBus, flexray
 from concord.features.measurement_bus.measurement_runs import first_received
 from concord.features.measurement_bus.meng2025 import SENSORS, SYSTEM, paper_points
+from concord.features.measurement_bus.options import StochasticNetwork
 from concord.features.measurement_bus.sensed import SensedPlant, clusters
 from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.nodes.environment_state import Delivery
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import StochasticNetwork
 
 
 @cache

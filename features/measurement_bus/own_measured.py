@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
 from concord.features.measurement_bus.measurement_bus import RECEIVER, WeightsAt
+from concord.features.measurement_bus.options import Reception, RecommendedFilter, SensorSlots
 from concord.features.measurement_bus.sensed import SensedPlant, sensors_on_a_bus
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
@@ -20,12 +21,11 @@ from concord.filters.filter import Filter
 from concord.filters.sigma_points import scaled_unscented
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.scenarios.definitions.own import own_score, user_definition
-from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import BusChoice, FlexRay, SensorSlots
-from concord.scenarios.types.filters import FilterBase, RecommendedFilter
+from concord.scenarios.scenario import BusChoice, Scenario
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.filters import FilterBase
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.types.rules import Reception
 from concord.scenarios.user.values import kept_source
 
 BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]

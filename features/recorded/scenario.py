@@ -6,11 +6,11 @@ from functools import cache
 from concord.features.recorded.confined_motion import ConfinedMotion
 from concord.features.recorded.mrclam import RecordedTarget, recorded_target
 from concord.features.recorded.mrclam_files import read_recording
+from concord.features.recorded.options import RecordedRobots
 from concord.features.recorded.sighting import Sighting
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import RecordedRobots
 
 DATA_VARIABLE = "CONCORD_MRCLAM"
 _NODES = 4

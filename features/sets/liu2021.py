@@ -11,18 +11,17 @@ import numpy as np
 
 from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
 from concord.features.measurement_bus.measurement_bus import RECEIVER
+from concord.features.measurement_bus.options import Reception, SensorSlots
 from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded_network import on_the_bound
 from concord.features.sets.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
+from concord.features.sets.options import BoundedReceiver, EllipsoidReceiver
 from concord.filters.sigma_points import scaled_unscented
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
-from concord.scenarios.types.buses import FlexRay, SensorSlots
-from concord.scenarios.types.filters import EllipsoidReceiver
+from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import BoundedReceiver
-from concord.scenarios.types.rules import Reception
 
 _ALL_STATES = tuple(range(liu2021.STATES))
 

@@ -11,11 +11,10 @@ from functools import cache
 from concord.features.control.scenario import OPEN, check_control, controlled
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded_network import BoundedNetwork
+from concord.features.sets.options import EllipsoidIntersection, UnstableBounded
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import UnstableBounded
-from concord.scenarios.types.rules import EllipsoidIntersection
 
 _STEPS = 1000
 

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scanned_swarm import PLACES, paths_of
 from concord.features.several_targets.tracking.scores import CUTOFF_M, ORDER, gospa
 from concord.features.several_targets.tracking.tracks import TrackReport, report_of
 from concord.nodes.messages import Estimate
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import TargetSwarm
 
 
 class NodeTracks(NamedTuple):

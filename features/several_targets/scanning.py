@@ -5,15 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from concord.features.several_targets.options import FALSE_ALARM, MOST_CLUTTER
 from concord.plants.angles import wrapped
 from concord.plants.range_bearing import RangeBearing
 
-FALSE_ALARM = 1e-3
-"""Probability of a false alarm in a cell, which joins detection probability and echo."""
 REFERENCE = math.sqrt(0.5)
 """Range at which the detection probability is the one asked for, in fields of view: half of the
 field's area is nearer."""
-MOST_CLUTTER = 200
 _NOISE_BEYOND = 4
 """Standard deviations of noise that may take a detection beyond the field of view."""
 LEAST_CLUTTER = 0.01

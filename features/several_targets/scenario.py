@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scanning import ScanningSensor
 from concord.features.several_targets.swarm_scans import FLOODED_SCANS
 from concord.features.several_targets.swarm_tracking import baseline_filter, model_of, plant_of
@@ -17,7 +18,6 @@ from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.filters import InteractingMultipleModels, UnscentedFilter
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import TargetSwarm
 from concord.scenarios.types.rules import MeasurementFlooding
 
 # Birth and the first confirmation of the targets that are there from the start.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from concord.features.several_targets.association.associate import ASSOCIATIONS
+from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scan_codec import ScanCodec
 from concord.features.several_targets.scanned_swarm import ScannedSwarm, detections_of
 from concord.features.several_targets.scanning import ScanningSensor
@@ -22,10 +23,9 @@ from concord.plants.motion import TURN_RATE, ConstantVelocity, CoordinatedTurn, 
 from concord.plants.placement import place_sensors, sites
 from concord.plants.range_bearing import RangeBearing
 from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import FilterChoice, Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.filters import FilterChoice, InteractingMultipleModels
-from concord.scenarios.types.plants import TargetSwarm
+from concord.scenarios.types.filters import InteractingMultipleModels
 
 UNDETECTED = 0.1
 """Expected number of targets that no sensor has seen yet, as a tracker assumes it in each scan."""

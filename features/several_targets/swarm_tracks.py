@@ -2,6 +2,7 @@
 share their tracks."""
 
 from concord.bus.bus import Bus
+from concord.features.several_targets.options import TrackIntersection
 from concord.features.several_targets.scan_codec import scan_codec
 from concord.features.several_targets.scanned_swarm import TARGET_STATES
 from concord.features.several_targets.swarm_tracking import (
@@ -17,7 +18,6 @@ from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.filters import UnscentedFilter
-from concord.scenarios.types.rules import TrackIntersection
 
 _SCAN_BYTES = 40
 """Room for a scan in a share: 19 detections. A full FlexRay cycle holds 20 nodes with it."""

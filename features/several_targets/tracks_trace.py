@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scanned_swarm import paths_of
 from concord.features.several_targets.swarm_tracking import settings_of, tracked_alone
 from concord.features.several_targets.track_log import TrackLog
 from concord.features.several_targets.tracking.tracks import report, report_of
 from concord.nodes.messages import ReportedTracks
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import TargetSwarm
 
 
 class TracksTrace(NamedTuple):

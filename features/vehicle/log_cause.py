@@ -15,6 +15,7 @@ from concord.features.vehicle.identification.without_slip import (
     left_to_file,
     tells_slip,
 )
+from concord.features.vehicle.options import VehicleNetwork
 from concord.features.vehicle.plant.drive_log import logs_road_wheels, read_log
 from concord.features.vehicle.plant.model import tanh_tyre
 from concord.features.vehicle.plant.parameters import Car, ProcessNoise
@@ -22,7 +23,6 @@ from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.features.vehicle.slip_evidence import reference_of
 from concord.plants.recorded.channels import ChannelReadings, readings_between
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import VehicleNetwork
 
 LONGEST_S = 30.0
 """Time of a log that is searched, from its first scored step on; a second takes half a second."""

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from concord.features.vehicle.options import AdaptiveUnscented, VehicleNetwork
 from concord.features.vehicle.plant.cars import FITTED_CARS
 from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, channels_of_nodes
 from concord.features.vehicle.plant.drive_log import (
@@ -43,9 +44,7 @@ from concord.features.vehicle.plant.validity import outside_model
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.filters import AdaptiveUnscented
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import VehicleNetwork
 from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 from concord.topology.names import unknown_name
 

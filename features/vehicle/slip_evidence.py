@@ -13,6 +13,7 @@ import numpy as np
 from concord.features.vehicle.identification.slip_reference import SlipReference, slip_reference
 from concord.features.vehicle.identification.sought import SEEN
 from concord.features.vehicle.identification.without_slip import is_logged
+from concord.features.vehicle.options import VehicleNetwork
 from concord.features.vehicle.plant.corrections import corrected, steps_over, with_true_wheels
 from concord.features.vehicle.plant.drive_log import even_drive, read_log, speeds_in
 from concord.features.vehicle.plant.model import tanh_tyre
@@ -26,7 +27,6 @@ from concord.results.figures.intervals import Interval
 from concord.results.run_verdict import BATCHES, anees_interval, beyond
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.plants import VehicleNetwork
 
 _ERRS = {"overconfident": "by more than", "underconfident": "by less than", "": "as"}
 

@@ -25,9 +25,9 @@ from concord.results.figures.smoothed_errors import smoothed_errors
 from concord.results.records.histories import Histories
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
+from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.frame_formats import frame_format
 
 COVERED = 0.95
 

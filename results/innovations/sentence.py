@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from concord.features.vehicle.options import VehicleNetwork
 from concord.features.vehicle.slip_evidence import SlipEvidence
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
@@ -14,7 +15,6 @@ from concord.results.innovations.diagnosis import (
 from concord.results.run_verdict import beyond
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import UnscentedFilter
-from concord.scenarios.types.plants import VehicleNetwork
 
 ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
 """Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but

@@ -29,9 +29,9 @@ from concord.runtime.processes.supervisor import TRY_AGAIN
 from concord.runtime.recording import McapRecorder
 from concord.runtime.whole_steps import WholeSteps
 from concord.scenarios.build import build_environment
+from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings, fingerprint
 from concord.scenarios.script import script_of
-from concord.scenarios.types.frame_formats import frame_format
 
 _PROGRESS_PERIOD_S = 0.05
 _LONGEST_WAIT_STEPS = 8

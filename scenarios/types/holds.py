@@ -47,17 +47,7 @@ class InStep(Choice, frozen=True, kw_only=True, tag="in-step"):
     """Use a held share within the step in which it came, and drop it afterwards."""
 
 
-class ZeroOrder(Choice, frozen=True, kw_only=True, tag="zero-order"):
-    """A silent sensor is taken to measure what it measured last."""
-
-
-class ZeroInput(Choice, frozen=True, kw_only=True, tag="zero-input"):
-    """A silent sensor is taken to measure zero."""
-
-
 SimpleHold = Predicted | Raw | Dropped | Renormalised | InStep
 BeliefHold = Decayed | SimpleHold
 TrimmedHold = Fading | SimpleHold
-SetHold = Predicted | Dropped
-SensorHold = ZeroOrder | ZeroInput
-Hold = BeliefHold | Fading | SensorHold
+Hold = BeliefHold | Fading

@@ -1,19 +1,15 @@
 """Fusion rules as values: which rule the nodes use, with the rule's own options."""
 
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 from concord.scenarios.types.holds import (
     BeliefHold,
     Decayed,
     Fading,
     Hold,
-    Predicted,
-    SensorHold,
-    SetHold,
     TrimmedHold,
-    ZeroOrder,
 )
-from concord.scenarios.types.option import USER, Choice, Option, name_of
+from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.user.values import FromFile, builder_source
 
 Number = Literal["float64", "float32", "float16"]
@@ -94,26 +90,17 @@ class CentralisedRule(NumberRule, frozen=True, kw_only=True, tag="centralised"):
     """All readings at every node: the optimum; complete graph, full schedule, one round."""
 
 
-class SetRule(NumberRule, frozen=True, kw_only=True):
-    """A rule of sets that hold the truth for certain."""
-
-    hold: Annotated[SetHold, HOLD] = Predicted()
-
-
-class EllipsoidIntersection(SetRule, frozen=True, kw_only=True, tag="ellipsoid"):
-    """Ellipsoids that intersect and hold the truth for certain; needs bounded noise."""
-
-
-class ZonotopeIntersection(SetRule, frozen=True, kw_only=True, tag="zonotope"):
-    """ellipsoid with zonotopes: tighter prediction, wider shares; needs bounded noise."""
-
-
 LEAST_WINDOW_STEPS = 32
 """A window costs neither bytes nor time of the bus, so it is longer than most networks need."""
 
 
 class FloodingRule(FusionRule, frozen=True, kw_only=True):
-    """A rule whose shares are labelled measurements."""
+    """A rule whose shares are labelled measurements.
+
+    `checkpoint_number` is the type code of numbers in the beliefs that begin a window.
+    """
+
+    checkpoint_number: ClassVar[str] = "<f4"
 
     window_steps: Annotated[
         int | None,
@@ -176,41 +163,6 @@ class MeasurementFlooding(FloodingRule, frozen=True, kw_only=True, tag="labelled
     ] = 0  # fmt: skip
 
 
-class EllipsoidFlooding(FloodingRule, frozen=True, kw_only=True, tag="labelled-ellipsoid"):
-    """labelled with ellipsoids that hold the truth for certain; needs bounded noise."""
-
-    # A set takes a reading for exact, and has no probability by which to refuse one.
-    gate_probability: ClassVar[float] = 0.0
-    withhold_below: ClassVar[float] = 0.0
-    record_number: ClassVar[str] = "float64"
-    smooth_steps: ClassVar[int] = 0
-
-
-class TrackIntersection(FusionRule, frozen=True, kw_only=True, tag="track-ci"):
-    """Tracks of several targets, fused by covariance intersection (target-swarm)."""
-
-    unavailable: ClassVar[str] = "nodes share tracks of several targets, as target-swarm has them"
-    most_tracks: Annotated[
-        int,
-        Option("Most tracks in a share: those that most probably exist.", at_least=1, at_most=100),
-    ] = 12
-
-
-class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
-    """One node estimates what the others send over a measurement bus (meng2025, liu2021)."""
-
-    unavailable: ClassVar[str] = (
-        "one node estimates from a measurement bus, which a scenario such as meng2025 or liu2021 "
-        "has"
-    )
-    hold: Annotated[SensorHold, HOLD] = ZeroOrder()
-    bid_weights: Annotated[
-        str,
-        Option('Weights of the sensors\' bids, "1 1 2 1"; several rows, apart by ";", take turns '
-               "step by step. Those of the scenario when left out."),
-    ] = ""  # fmt: skip
-
-
 class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
     """A rule of your own, from a Python file: `rule(beliefs, weights) -> belief`."""
 
@@ -224,37 +176,10 @@ class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
         return found and cls(source=found.name, digest=found.digest)
 
 
-RuleChoice = (
-    CovarianceIntersection
-    | SharpCovarianceIntersection
-    | TrimmedCovarianceIntersection
-    | WeightedAverage
-    | HybridConsensus
-    | ClassicalHybridConsensus
-    | InformationConsensus
-    | DiffusionRule
-    | KalmanConsensus
-    | MeasurementFlooding
-    | EllipsoidFlooding
-    | LocalRule
-    | CentralisedRule
-    | EllipsoidIntersection
-    | ZonotopeIntersection
-    | TrackIntersection
-    | Reception
-    | UserRule
-)
-RULE_SUMMARIES = {
-    name_of(rule): rule.summary() for rule in get_args(RuleChoice) if rule is not UserRule
-}
-
-
 def hold_of(rule: FusionRule) -> Hold | None:
     """The hold policy of a rule; None for one that uses only fresh shares."""
-    match rule:
-        case AverageRule() | TrimmedCovarianceIntersection() | SetRule() | Reception():
-            return rule.hold
-    return None
+    held: Hold | None = getattr(rule, "hold", None)
+    return held
 
 
 def latch_delay_of(rule: FusionRule) -> float | None:
@@ -266,9 +191,4 @@ def latch_delay_of(rule: FusionRule) -> float | None:
 
 def number_of(rule: FusionRule) -> str:
     """The format of numbers in a share; that of its readings for a rule that floods these."""
-    match rule:
-        case NumberRule():
-            return rule.number
-        case MeasurementFlooding() | EllipsoidFlooding():
-            return rule.record_number
-    return "float64"
+    return str(getattr(rule, "number", None) or getattr(rule, "record_number", "float64"))

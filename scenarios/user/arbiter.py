@@ -2,7 +2,7 @@
 
 from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import arbiter_of
+from concord.scenarios.types.schedules import arbiter_of
 from concord.scenarios.user.values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 

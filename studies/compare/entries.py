@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import msgspec
 
+from concord.entries import summaries
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user.values import is_source_name
 from concord.studies.compare.suite import SUITE, Case
 from concord.studies.memory import check_workers, needed_bytes
@@ -68,7 +68,7 @@ def own_rules(names: Sequence[str]) -> dict[str, str]:
         ValueError: a name that is none, twice there or built in, or no rule in its file.
     """
     for place, name in enumerate(names):
-        if name in RULE_SUMMARIES:
+        if name in summaries("RULES"):
             raise ValueError(
                 f"--rule {name}: every built-in rule takes part anyway; name a rule of your own as "
                 "FILE.py:NAME, or leave --rule out"
@@ -89,7 +89,7 @@ def entries_of(cases: Sequence[Case], own: Mapping[str, str], data: str | None) 
     """
     if data is not None:
         prepare(scenario_of("mrclam", data=data, target=4))
-    rules = {name: name for name in RULE_SUMMARIES} | dict(own)
+    rules = {name: name for name in summaries("RULES")} | dict(own)
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
 
 

@@ -9,8 +9,8 @@ from concord.scenarios.labelled import flooding_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import lossy_links
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import arbiter_of, trigger_of
 from concord.scenarios.types.rules import FloodingRule
+from concord.scenarios.types.schedules import arbiter_of, trigger_of
 from concord.studies.design.candidates import Candidate, placed
 from concord.studies.sweep.specification import Value
 

@@ -17,7 +17,7 @@ from concord.dashboard.serve import open_network
 from concord.dashboard.theme import linear
 from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
-from concord.scenarios.types.buses import occupancy_of
+from concord.scenarios.types.schedules import occupancy_of
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.scenarios.types.filters import FILTER_SUMMARIES
+from concord.entries import summaries
 from concord.studies.check.filter_promises import FILTER_PROMISES
 from tests.experiments.test_check_rules import checked
 
@@ -28,7 +28,7 @@ MISTAKES = {
 NOTES = {("mcukf", "linear"), ("imm", "linear"), ("imm", "units")}
 
 
-@pytest.mark.parametrize("name", FILTER_SUMMARIES)
+@pytest.mark.parametrize("name", summaries("FILTERS"))
 def test_our_filters_keep_each_promise(name: str, capsys: pytest.CaptureFixture[str]):
     for promise in ABOUT_MODELS:
         code, rows = checked(capsys, name, "--promise", promise, "--cases", "30")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import concord as cc
+from concord.entries import summaries
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.gaussian import Gaussian
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.studies.compare import entries as entries_module
 from concord.studies.compare.entries import asked_cases, entries_of
 from concord.studies.compare.results import comparison_figures
@@ -58,7 +58,7 @@ def result():
 
 def test_every_case_prepares_with_the_rules_for_any_network():
     entries = entries_of(SUITE, {}, None)
-    assert len(entries) == len(SUITE) * len(RULE_SUMMARIES)
+    assert len(entries) == len(SUITE) * len(summaries("RULES"))
     for entry in entries:
         if entry.case.recorded:
             assert "--data" in entry.reason
@@ -67,7 +67,7 @@ def test_every_case_prepares_with_the_rules_for_any_network():
         elif entry.rule in ("ci", "wac", "hcmci", "labelled", "local"):
             assert not entry.reason, entry
     ran = {entry.rule for entry in entries if not entry.reason}
-    assert set(RULE_SUMMARIES) - ran == {"reception"}
+    assert set(summaries("RULES")) - ran == {"reception"}
 
 
 def test_names_of_cases_are_unique_and_fit_a_column():
@@ -76,9 +76,9 @@ def test_names_of_cases_are_unique_and_fit_a_column():
 
 
 def test_every_built_in_rule_has_figures_or_a_reason(result):
-    assert set(RULE_SUMMARIES) < set(result["rule"].to_numpy().tolist())
+    assert set(summaries("RULES")) < set(result["rule"].to_numpy().tolist())
     found = {one.rule: one for one in comparison_figures(result).cases[0].rules}
-    for rule in RULE_SUMMARIES:
+    for rule in summaries("RULES"):
         has = np.isfinite(found[rule].to_centralised.value) and found[rule].node_ratio >= 1
         assert has != bool(found[rule].reason), found[rule]
     assert "hear all" in found["centralised"].reason
@@ -168,7 +168,7 @@ def test_the_command_writes_its_files_and_keeps_to_80_columns(
                    "--workers", 1, "-o", out)  # fmt: skip
     assert said.code == 0, said.err
     assert max(map(len, said.out.splitlines())) <= 80
-    for word in (*RULE_SUMMARIES, CASE, "mrclam", "not any rule: it replays recorded data"):
+    for word in (*summaries("RULES"), CASE, "mrclam", "not any rule: it replays recorded data"):
         assert word in said.out, word
     html = (out / "report.html").read_text()
     assert "<img" not in html and "http" not in html and name in html
@@ -178,7 +178,7 @@ def test_the_command_writes_its_files_and_keeps_to_80_columns(
     assert figures == json.loads((out / "compare.json").read_text())
     assert "computed before" in again.err and "runs:" not in again.err
     assert r"my\_own.py:RULE" in (out / "table.tex").read_text()
-    assert all(f"| {rule} |" in (out / "table.md").read_text() for rule in RULE_SUMMARIES)
+    assert all(f"| {rule} |" in (out / "table.md").read_text() for rule in summaries("RULES"))
 
 
 def test_the_latex_table_has_a_row_of_nine_cells_for_every_rule_that_ran(result):

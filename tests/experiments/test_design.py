@@ -18,7 +18,7 @@ from concord.runtime.json_file import write_json
 from concord.scenarios.bus_plan import build_schedule
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import flat
-from concord.scenarios.types.buses import occupancy_of
+from concord.scenarios.types.schedules import occupancy_of
 from concord.studies.design.candidates import Cost, candidates_of
 from concord.studies.design.results import design_of, nearest, read_design
 from concord.studies.design.search import FRESH_RUN, Found, SearchTask, search

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from concord.entries import summaries
 from concord.features.vehicle.adaptive import correntropy
+from concord.features.vehicle.options import MaximumCorrentropy
 from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter, Linearising
 from concord.filters.gaussian import Gaussian
@@ -14,7 +16,7 @@ from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.scenarios.filters import build_filter
-from concord.scenarios.types.filters import FILTER_SUMMARIES, FilterChoice, MaximumCorrentropy
+from concord.scenarios.scenario import FilterChoice
 from concord.scenarios.types.option import name_of
 from tests.filters import kalman
 from tests.filters.support import (
@@ -33,7 +35,7 @@ from tests.filters.support import (
 CHOICES = {
     name_of(one): one
     for one in get_args(FilterChoice)
-    if name_of(one) in FILTER_SUMMARIES and name_of(one) != "imm"
+    if name_of(one) in summaries("FILTERS") and name_of(one) != "imm"
 }
 
 

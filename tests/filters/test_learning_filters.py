@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from concord.entries import summaries
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.filters import build_filter
-from concord.scenarios.types.filters import (
-    FILTER_SUMMARIES,
-    FilterChoice,
-    NoiseLearningFilter,
-)
+from concord.scenarios.scenario import FilterChoice
+from concord.scenarios.types.filters import NoiseLearningFilter
 from concord.scenarios.types.option import name_of
 from tests.filters.support import (
     RANGE_BEARING_NOISE_COV,
@@ -23,7 +21,9 @@ from tests.filters.support import (
     turn,
 )
 
-CHOICES = {name_of(one): one for one in get_args(FilterChoice) if name_of(one) in FILTER_SUMMARIES}
+CHOICES = {
+    name_of(one): one for one in get_args(FilterChoice) if name_of(one) in summaries("FILTERS")
+}
 LEARNING = [name for name, one in CHOICES.items() if issubclass(one, NoiseLearningFilter)]
 F = np.array([[1.0, 0.1], [0.0, 1.0]])
 Q = np.diag([1e-3, 1e-2])

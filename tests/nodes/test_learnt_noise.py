@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from concord.features.vehicle.options import AdaptiveUnscented, FuzzyUnscented
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
@@ -15,7 +16,6 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.filters import build_filter
 from concord.scenarios.node_context import NodeContext, RuleContext
 from concord.scenarios.rules import build_estimator, hold_policy
-from concord.scenarios.types.filters import AdaptiveUnscented, FuzzyUnscented
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.entries import summaries
 from concord.nodes.messages import ShareHeard
 from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import build_network
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import complete_settings, prepare, with_settings
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.topology.edge_text import edge_text
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
@@ -48,7 +48,7 @@ def test_a_graph_that_is_set_at_the_first_step_is_that_of_the_network(graph: str
     assert same_bits(run(network(), f"0 set graph={graph}"), run(network(graph=graph)))
 
 
-@pytest.mark.parametrize("rule", RULE_SUMMARIES)
+@pytest.mark.parametrize("rule", summaries("RULES"))
 def test_each_rule_takes_another_graph(rule: str):
     name = "liu2021-network" if rule in SETS else "oscillator"
     try:

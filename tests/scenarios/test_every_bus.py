@@ -20,9 +20,10 @@ from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.scenario import BusChoice
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import BusChoice, TimedBus, UserBus
+from concord.scenarios.types.buses import TimedBus, UserBus
 from concord.scenarios.types.option import name_of
 from concord.scenarios.user.bus import broken_promises
 from concord.studies.agree import agreement

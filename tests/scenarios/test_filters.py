@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from concord.entries import summaries
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
@@ -17,7 +18,6 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import share_size
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.warnings import warnings_of
 from concord.studies.monte_carlo.simulate import simulate
 
@@ -28,7 +28,7 @@ def known(cov: float = 1.0, R: float = 1.0) -> Scenario:
     return own_scenario(plant, [OwnSensor(h=lambda x: x[..., :1], R=R)], nodes=3, steps=30)
 
 
-@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "imm"])
+@pytest.mark.parametrize("name", [name for name in summaries("FILTERS") if name != "imm"])
 def test_a_singular_prior_or_noise_runs_or_is_refused(name: str):
     for options, says in (({"cov": 0.0}, "prior is singular"), ({"R": 0.0}, "R of a sensor is")):
         asked = known(**options).with_(filter=name, rule="local")
@@ -62,7 +62,7 @@ def test_the_kalman_filter_runs_on_linear_plants_as_the_unscented_one(name: str)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", ["ci", "hcmci", "diffusion"])
-@pytest.mark.parametrize("name", [name for name in FILTER_SUMMARIES if name != "kf"])
+@pytest.mark.parametrize("name", [name for name in summaries("FILTERS") if name != "kf"])
 def test_batches_give_the_numbers_of_messages(name: str, rule: str):
     """With a node that dies and begins anew, which forgets, and sensors that see at times."""
     if name == "imm" and rule != "ci":

@@ -22,14 +22,16 @@ from concord.features.flexray_tools.commands.rehearsal import (
 )
 from concord.results.bus.bus_report import BusFigures, bus_figures
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import FITTED, build_schedule
+from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.flexray_plan import FITTED
 from concord.scenarios.preparation import share_bytes
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import in_options
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.assignment import check_ranges
-from concord.scenarios.types.buses import occupancy_of, stretch_of
+from concord.scenarios.types.buses import stretch_of
 from concord.scenarios.types.rules import number_of
+from concord.scenarios.types.schedules import occupancy_of
 
 MOST_REHEARSED_STEPS = 500
 

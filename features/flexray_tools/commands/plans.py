@@ -25,10 +25,11 @@ from concord.features.flexray_tools.commands.rehearsal import rehearse
 from concord.results.bus import bus_report
 from concord.results.bus.bus_report import timetable
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import FITTED
+from concord.scenarios.flexray_plan import FITTED
 from concord.scenarios.preparation import prepare
-from concord.scenarios.types.buses import FlexRay, occupancy_of
+from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.rules import number_of
+from concord.scenarios.types.schedules import occupancy_of
 
 MOST_PRINTED_ROWS = 1000
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"

@@ -12,6 +12,7 @@ from concord.bus.identified_frames import frame_id_of
 from concord.bus.schedule import Schedule
 from concord.features.other_buses.can_fd.bits import (
     ERROR_FRAME_BITS,
+    IDENTIFIER_BITS,
     INTERMISSION_BITS,
     FrameBits,
     Rates,
@@ -20,6 +21,8 @@ from concord.features.other_buses.can_fd.bits import (
 from concord.features.other_buses.can_fd.frame import FRAMINGS
 from concord.features.other_buses.can_fd.priority import BidLevels, layout
 from concord.features.other_buses.can_fd.response_times import Message, response_times
+from concord.features.other_buses.options import CanFd
+from concord.scenarios.bus_definition import BusDefinition, BusRequest
 
 # The bid itself is in the identifier, so controllers do what the ideal arbiter says.
 _BY_BID = Arbiter(lowest_frame_id, by_class=True, is_ideal=False)
@@ -182,3 +185,22 @@ def can_fd_bus(
         levels = layout(schedule.nodes, rates.identifier_bits, 1).levels
         arbiter, classes = _BY_BID, BidLevels(levels, bid_span)
     return CanFdBus(schedule, share_bytes, arbiter, classes, rates, retransmissions)
+
+
+def _can_fd(chosen: CanFd, asked: BusRequest) -> CanFdBus:
+    bits = IDENTIFIER_BITS[chosen.identifiers]
+    rates = Rates(bits, chosen.nominal_kbit_s, chosen.data_kbit_s)
+    return can_fd_bus(
+        asked.schedule,
+        asked.share_bytes,
+        asked.arbiter,
+        asked.classes,
+        rates,
+        asked.bid_span,
+        chosen.retransmissions,
+    )
+
+
+DEFINITION = BusDefinition(
+    _can_fd, lambda chosen: FRAMINGS[IDENTIFIER_BITS[chosen.identifiers]].frame_format()
+)

@@ -8,6 +8,7 @@ from concord.bus.identified_bus import IdentifiedBus
 from concord.bus.identified_frames import frame_id_of
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import ONE_CLASS
+from concord.features.other_buses.options import Plca
 from concord.features.other_buses.plca.cycle import (
     BIT_US,
     PlcaSettings,
@@ -16,6 +17,7 @@ from concord.features.other_buses.plca.cycle import (
     worst_access_bits,
 )
 from concord.features.other_buses.plca.ethernet import FRAMING, MAX_NODES
+from concord.scenarios.bus_definition import BusDefinition, BusRequest
 
 
 class PlcaBus(IdentifiedBus):
@@ -81,3 +83,11 @@ class PlcaBus(IdentifiedBus):
             )
             for one in walk(self.timing, payloads)[0]
         )
+
+
+def _plca(chosen: Plca, asked: BusRequest) -> PlcaBus:
+    timing = PlcaSettings(chosen.opportunity_bits, chosen.burst_frames)
+    return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
+
+
+DEFINITION = BusDefinition(_plca, lambda _: FRAMING.frame_format())

@@ -22,10 +22,9 @@ from concord.features.sets.filters.barrier_path import BarrierTask, least_on_pat
 from concord.features.sets.filters.criterion import Criterion, unit_free
 from concord.features.sets.filters.ellipsoid import squared
 from concord.features.sets.filters.rounding import pseudo_inverse, rounding_bound, row_units
+from concord.features.sets.options import ACCURACY
 from concord.filters.linalg import cholesky
 
-ACCURACY = 5e-6
-"""Duality gap, relative to the trace, that the search for multipliers ends at."""
 # Directions of `known` that are weaker, relative to the strongest, are not followed on the way to
 # the multipliers. The gain follows them.
 _WEAK = 1e-7

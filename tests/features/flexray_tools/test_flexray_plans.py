@@ -27,7 +27,7 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import occupancy_of
+from concord.scenarios.types.schedules import occupancy_of
 from tests.experiments.test_bus_report import SMALL
 from tests.features.flexray_tools.flexray_support import concord, refused
 

@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 
 from concord.features.measurement_bus import meng2025_plant as meng2025
+from concord.features.measurement_bus.options import SensorSlots
 from concord.features.measurement_bus.own_measured import on_a_measurement_bus
 from concord.features.measurement_bus.sensed import sensors_on_a_bus
 from concord.features.sets.bounded_plant import BoundedOutput, BoundedPlant
+from concord.features.sets.options import EllipsoidReceiver
 from concord.filters.metrics import nees
 from concord.plants.own_plant import OwnPlant, OwnSensor
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import FlexRay, SensorSlots
-from concord.scenarios.types.filters import EllipsoidReceiver
+from concord.scenarios.types.buses import FlexRay
 from tests.experiments.support import scenario
 
 ZONOTOPES = ("zonotope", "constrained-zonotope")

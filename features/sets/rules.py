@@ -1,6 +1,7 @@
-"""The set-membership rules: how their estimators are built, and what frames them."""
+"""The rules of sets: how their estimators are built, and what frames them."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -9,21 +10,30 @@ from concord.features.sets.filters.joint_noise import joined
 from concord.features.sets.set_membership import (
     BoundedModel,
     BoundedSensor,
+    SetAtNode,
     SetMembership,
     predict_sets,
     readings_of,
     take_readings,
 )
-from concord.features.sets.set_shapes import Shape
+from concord.features.sets.set_shapes import Ellipsoids, Shape, Zonotopes, set_form
+from concord.features.sets.window_sets import WindowSets
+from concord.filters.fusion.packed import packed_length
 from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.lane_rule import LocalStep
 from concord.nodes.rules.local_filter import LocalFilters
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.estimators import at_node, in_batch
 from concord.scenarios.filters import build_filter
-from concord.scenarios.labelled import check_labelled
+from concord.scenarios.labelled import check_labelled, largest_share, without_arrays
+from concord.scenarios.labelled_rule import batch_parts, node_parts
 from concord.scenarios.node_context import RuleContext
+from concord.scenarios.rule import Rule
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.scenarios.share_kinds import ShareKind
 
 if TYPE_CHECKING:
     from concord.topology.weights import Weights
@@ -97,3 +107,37 @@ def _bounded_model(model: object, scenario: Scenario | None = None) -> BoundedMo
             "noise has one; use --scenario liu2021-network, or a Gaussian rule such as ci"
         )
     return model
+
+
+def _of_sets(make: MakeShape, share: ShareKind) -> Rule:
+    build = partial(set_membership, make)
+    return Rule(
+        share,
+        partial(at_node, SetAtNode, build, share),
+        partial(in_batch, build, share),
+        check=check_bounded,
+        set_valued=True,
+        baseline_filter=partial(baseline_filter, make),
+        weighted=False,
+    )
+
+
+ELLIPSOIDS = ShareKind(
+    "belief",
+    lambda states, _: packed_length(states),
+    {"<u2": lambda states, _: set_form(states)},
+)
+ZONOTOPES = ShareKind("share", lambda states, _: states + states**2)
+ELLIPSOID = _of_sets(Ellipsoids, ELLIPSOIDS)
+ZONOTOPE = _of_sets(Zonotopes, ZONOTOPES)
+LABELLED_ELLIPSOID = Rule(
+    None,
+    lambda context: LabelledFlooding(**node_parts(WindowSets, context)),
+    lambda context: BatchedFlooding(**batch_parts(WindowSets, context)),
+    check=check_labelled_sets,
+    set_valued=True,
+    baseline_filter=partial(baseline_filter, Ellipsoids),
+    lacking=without_arrays,
+    weighted=False,
+    share_bytes=largest_share,
+)

@@ -1,0 +1,30 @@
+"""Entries of networks on several hosts (`concord.entries`)."""
+
+_HERE = "concord.features.hosts"
+
+COMMANDS = {
+    "keys": (
+        f"{_HERE}.keys_command:keys",
+        "Make certificates and access control for a network, or try to break in (--check).",
+    ),
+    "setup": (
+        f"{_HERE}.commands:setup",
+        "Work out a scenario and write it down, for the hosts of a network.",
+    ),
+    "router": (
+        f"{_HERE}.commands:router",
+        "Pass on the messages of a network's processes, on one of its hosts.",
+    ),
+    "environment": (
+        f"{_HERE}.commands:environment",
+        "Run the environment and recorder processes on this host until the run ends.",
+    ),
+    "node": (
+        f"{_HERE}.commands:node",
+        "Run some nodes of a network on this host until the run ends.",
+    ),
+    "up": (
+        f"{_HERE}.commands:up",
+        "Start a network on several hosts over ssh, show its log, and end it.",
+    ),
+}

@@ -1,0 +1,1 @@
+"""Entries of this folder (`concord.entries`)."""
