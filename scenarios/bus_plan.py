@@ -17,10 +17,8 @@ from concord.bus.schedule import (
 )
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.nodes.bids import BIDS_FOR_CHANGE
-from concord.nodes.rules.labelled.record_sets import bids_for_records
 from concord.scenarios.bus_definition import BusRequest, bus_definition
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.flexray_plan import schedule_of_table
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import FlexRay, SharedBus, UserBus
 from concord.scenarios.types.rules import FloodingRule, latch_delay_of
@@ -83,6 +81,9 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     chosen = scenario.bus.schedule
     if isinstance(chosen, WrittenSchedule):
         assert isinstance(scenario.bus, FlexRay)
+        # Only here: most networks have no written table.
+        from concord.scenarios.written_plan import schedule_of_table
+
         return _relayed(scenario, schedule_of_table(scenario.bus, chosen, scenario.nodes))
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
@@ -143,6 +144,9 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     least, most = BIDS_FOR_CHANGE
     old_after = len(contenders)
     if isinstance(scenario.rule, FloodingRule):
+        # Only here: other rules need nothing of this one.
+        from concord.nodes.rules.labelled.record_sets import bids_for_records
+
         least, most = bids_for_records(scenario.nodes)
         has_scans = definition_of(scenario).wiring(scenario) is not None
         if count >= _LEAST_CLASSES_BY_NEED and not has_scans:

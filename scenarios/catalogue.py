@@ -4,11 +4,10 @@ import numpy as np
 
 from concord.entries import chosen, entries
 from concord.filters.metrics import nees
-from concord.scenarios.definitions import own
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.user.values import is_source_name, source_of
+from concord.scenarios.user.values import ValueSource, is_source_name, source_of
 from concord.topology.names import unknown_name
 
 
@@ -24,8 +23,15 @@ def definition_of(scenario: Scenario) -> ScenarioDefinition:
         ValueError: it is of a file that is not there, or is another one now.
     """
     if isinstance(scenario.plant, UserPlant):
-        return own.user_definition(scenario.plant.where)
+        return _of_user(scenario.plant.where)
     return definition_named(scenario.name)
+
+
+def _of_user(source: ValueSource) -> ScenarioDefinition:
+    # Only here: most processes have no plant of the user's own.
+    from concord.scenarios.definitions.own import user_definition
+
+    return user_definition(source)
 
 
 def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -47,7 +53,7 @@ def definition_named(name: str) -> ScenarioDefinition:
         ValueError: there is none.
     """
     if is_source_name(name):
-        return own.user_definition(source_of(name))
+        return _of_user(source_of(name))
     if name not in entries("SCENARIOS"):
         raise unknown_name("scenario", name, entries("SCENARIOS"))
     found = chosen("SCENARIOS", name)

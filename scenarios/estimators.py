@@ -2,18 +2,19 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from concord.nodes.lanes.batch import AveragesInBatch, InBatch
-from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.node_context import BatchContext, NodeContext, RuleContext
 from concord.scenarios.rule import Rule
 from concord.scenarios.share_kinds import ShareKind
+
+if TYPE_CHECKING:
+    from concord.nodes.lanes.network import BatchedRule
 
 AnyRule = LaneRule[Any, Any, Any]
 BuildRule = Callable[[RuleContext], AnyRule]
@@ -23,7 +24,7 @@ NodeRule = TypeVar("NodeRule", bound=AtNode)
 def once(
     share: ShareKind,
     build: BuildRule,
-    batched: Callable[[BatchContext], BatchedRule] | None = None,
+    batched: Callable[[BatchContext], "BatchedRule"] | None = None,
     **properties: Any,
 ) -> Rule:
     """A rule that is written once: `build` serves one node and all nodes of many runs.
@@ -50,15 +51,21 @@ def at_node(
     return kind(rule, place, context.model, context.sensor, context.prior, context.filter, codec)
 
 
-def in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> BatchedRule:
+def in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> "BatchedRule":
     """A rule whose shares are vectors of numbers."""
+    # Only here: a node computes without arrays of nodes.
+    from concord.nodes.lanes.batch import InBatch
+
     rule = build(context.rule)
     codec = share_codec(share, context.rule)
     return InBatch(rule, context.filters, context.links, context.base, codec)
 
 
-def averages_in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> BatchedRule:
+def averages_in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> "BatchedRule":
     """The matrix form of a rule whose rounds are averages."""
+    # Only here: a node computes without arrays of nodes.
+    from concord.nodes.lanes.batch import AveragesInBatch
+
     rule = build(context.rule)
     codec = share_codec(share, context.rule)
     return AveragesInBatch(rule, context.filters, context.links, context.base, codec)

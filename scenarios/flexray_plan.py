@@ -1,7 +1,5 @@
 """FlexRay as the bus of a scenario: its cluster, its channels, and written slot tables."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -9,18 +7,14 @@ import msgspec
 from concord.bus.bus import Bus
 from concord.bus.flexray.channels.plan import ChannelPlan, channel_plan
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.fitted import fitted_cluster
-from concord.bus.flexray.flexray_bus import flexray_bus, written_bus
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.flexray_bus import flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
-from concord.bus.flexray.slot_file import read_slot_file
-from concord.bus.flexray.written_slots import written_schedule
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_definition import BusDefinition, BusRequest
-from concord.scenarios.types.buses import ALL_CHANNELS, FlexRay
+from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
 from concord.topology.names import unknown_name
 
@@ -34,54 +28,15 @@ def cluster_names() -> tuple[str, ...]:
     return (FITTED, REDUNDANT, *PRESETS)
 
 
-def schedule_of_table(bus: FlexRay, chosen: WrittenSchedule, nodes: int) -> Schedule:
-    """Return the schedule of a written slot table.
-
-    Raises:
-        ValueError: there is no such table, or it is not of this network.
-    """
-    cluster, slots = _written(bus, chosen)
-    with _naming(chosen.slots):
-        return written_schedule(slots, cluster, nodes)
-
-
-@contextmanager
-def _naming(slots: str) -> Iterator[None]:
-    """Say which slot table is wrong."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"--slots {slots}: {error}") from None
-
-
-def _written(bus: FlexRay, schedule: WrittenSchedule) -> tuple[Cluster, tuple[MessageSlot, ...]]:
-    """Return the cluster and the slots of a bus with a written table.
-
-    Raises:
-        ValueError: there is no such table, or no cluster that it could be of.
-    """
-    if not schedule.slots:
-        raise ValueError("--schedule written: name its slot table with --slots FILE.toml")
-    if bus.cluster in (FITTED, REDUNDANT):
-        raise ValueError(
-            f"--cluster {bus.cluster}: a slot table belongs to one cluster; name it, as a preset "
-            f"({', '.join(PRESETS)}) or a file"
-        )
-    cluster = _named_cluster(bus.cluster)
-    with _naming(schedule.slots):
-        return cluster, read_slot_file(Path(schedule.slots), cluster)
-
-
 def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
     if not chosen.withdrawal:
         _check_cuts(chosen, asked)
         asked = asked._replace(arbiter=asked.arbiter._replace(withdraws=False, cuts=True))
     if isinstance(chosen.schedule, WrittenSchedule):
-        cluster, slots = _written(chosen, chosen.schedule)
-        _check_no_written_relay(asked.schedule)
-        _check_no_written_channels(chosen)
-        with _naming(chosen.schedule.slots):
-            return written_bus(slots, cluster, asked.schedule, asked.share_bytes, asked.arbiter)
+        # Only here: most networks have no written table.
+        from concord.scenarios.written_plan import bus_of_table
+
+        return bus_of_table(chosen, chosen.schedule, asked)
     cluster, plan = _cluster(chosen, asked)
     return flexray_bus(
         asked.schedule,
@@ -114,27 +69,11 @@ def _check_cuts(chosen: FlexRay, asked: BusRequest) -> None:
         )
 
 
-def _check_no_written_relay(schedule: Schedule) -> None:
-    if schedule.relay:
-        raise ValueError(
-            "--relay --schedule written: a host latches its frame in the slot order that "
-            "concord gives; use another --schedule, or leave --relay out"
-        )
-
-
-def _check_no_written_channels(chosen: FlexRay) -> None:
-    if chosen.channels != ALL_CHANNELS:
-        raise ValueError(
-            f"--channels {chosen.channels} --schedule written: the slot table says which channel "
-            "carries a frame; leave --channels out, or use another --schedule"
-        )
-
-
 def _cluster(chosen: FlexRay, asked: BusRequest) -> tuple[Cluster, ChannelPlan]:
     """Return the cluster, and the channels of the shares on it."""
     name = chosen.cluster
     if name not in (FITTED, REDUNDANT):
-        cluster = _named_cluster(name)
+        cluster = named_cluster(name)
         return cluster, channel_plan(chosen.channels, cluster.channels, name)
     channels: Channels = "A" if name == FITTED else "AB"
     plan = channel_plan(chosen.channels, channels, name)
@@ -142,10 +81,17 @@ def _cluster(chosen: FlexRay, asked: BusRequest) -> tuple[Cluster, ChannelPlan]:
     return msgspec.structs.replace(fitted, channels=channels), plan
 
 
-def _named_cluster(name: str) -> Cluster:
-    """Return the cluster of a preset or a file."""
+def named_cluster(name: str) -> Cluster:
+    """Return the cluster of a preset or a file.
+
+    Raises:
+        ValueError: there is no such preset, or the file cannot be read.
+    """
     if name in PRESETS:
         return preset(name)
+    # Only here: most networks have a fitted cluster or a preset.
+    from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+
     path = Path(name)
     if path.suffix not in FILE_ENDINGS:
         raise unknown_name(

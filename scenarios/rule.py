@@ -7,13 +7,13 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
-from concord.nodes.lanes.network import BatchedRule
 from concord.scenarios.node_context import BatchContext, NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.share_kinds import BELIEFS, ShareKind
 
 if TYPE_CHECKING:
+    from concord.nodes.lanes.network import BatchedRule
     from concord.topology.weights import Weights
 
 
@@ -36,7 +36,7 @@ class Rule(NamedTuple):
 
     share: ShareKind | None
     estimator: Callable[[NodeContext], AnyEstimator]
-    batched: Callable[[BatchContext], BatchedRule]
+    batched: Callable[[BatchContext], "BatchedRule"]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     set_valued: bool = False
     baseline_filter: (

@@ -13,8 +13,6 @@ from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.fusion.trimmed import trimmed_intersection
 from concord.filters.gaussian import Gaussian
 from concord.filters.interacting_models import stacked_size
-from concord.nodes.lanes.beliefs import BatchedBeliefs
-from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.scenarios.estimators import AnyRule, once, share_codec
 from concord.scenarios.node_context import BatchContext, RuleContext
@@ -24,6 +22,7 @@ from concord.scenarios.share_kinds import BELIEFS
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
 if TYPE_CHECKING:
+    from concord.nodes.lanes.network import BatchedRule
     from concord.topology.weights import Weights
 
 Average = Callable[[Gaussian, np.ndarray], Gaussian]
@@ -48,8 +47,11 @@ def trimmed(context: RuleContext) -> AnyRule:
     return averaging(Directly(partial(trimmed_intersection, liars=rule.liars)), context)
 
 
-def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
+def beliefs_in_batch(rule: Averaging, context: BatchContext) -> "BatchedRule":
     """The matrix form of rules that average beliefs."""
+    # Only here: a node computes without arrays of nodes.
+    from concord.nodes.lanes.beliefs import BatchedBeliefs
+
     return BatchedBeliefs(
         filters=context.filters,
         averaging=rule,
@@ -63,7 +65,7 @@ def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
     )
 
 
-def alone_in_batch(context: BatchContext) -> BatchedRule:
+def alone_in_batch(context: BatchContext) -> "BatchedRule":
     """The matrix form of the rule that fuses nothing."""
     alone = HoldPolicy(lambda base, ages, _inverse_volume, _cycles: hold.alone(base, ages), False)
     return beliefs_in_batch(MOMENTS, context._replace(rule=context.rule._replace(hold=alone)))

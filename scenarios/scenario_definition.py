@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,12 +12,14 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.environment_state import Delivery
 from concord.nodes.estimator import AnyEstimator
-from concord.nodes.lanes.links import Links
-from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
 from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.setup import Setup
+
+if TYPE_CHECKING:
+    from concord.nodes.lanes.links import Links
+    from concord.nodes.lanes.network import BatchedRule
 
 
 class ScenarioPlant(Protocol):
@@ -88,7 +90,7 @@ class NetworkWiring(NamedTuple):
     share_bytes: Callable[[Scenario], int]
     estimator: Callable[[Setup, int, Bus, Beginning], AnyEstimator]
     schedule: Callable[[Scenario], Schedule] | None = None
-    batched: Callable[[Setup, Bus, Links], BatchedRule] | None = None
+    batched: Callable[[Setup, Bus, "Links"], "BatchedRule"] | None = None
     names: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     bid_span: tuple[int, int] | None = None
     check: Callable[[Setup], None] = lambda _: None

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.frame import MAX_FRAME_ID
+from concord.bus.flexray.message_slot import MessageSlot
 
 
 class Request(NamedTuple):
@@ -120,3 +121,17 @@ def _check_slots(cluster: Cluster, ordered: Sequence[Request]) -> None:
                 f"nodes {earlier.node} and {later.node} both send in dynamic slot "
                 f"{later.frame_id}; give them frame IDs of their own"
             )
+
+
+def requests_of(slots: Sequence[MessageSlot], cluster: Cluster) -> list[Request]:
+    """Return the requests of other stations in the dynamic segment, all in one cycle.
+
+    Of stations that take turns in one frame ID the longest frame counts.
+    """
+    longest: dict[int, MessageSlot] = {}
+    for slot in slots:
+        if slot.frame_id >= cluster.first_dynamic_id:
+            known = longest.setdefault(slot.frame_id, slot)
+            if slot.payload_bytes > known.payload_bytes:
+                longest[slot.frame_id] = slot
+    return [Request(slot.node, slot.frame_id, slot.payload_bytes) for slot in longest.values()]

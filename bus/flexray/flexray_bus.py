@@ -13,17 +13,14 @@ from concord.bus.bus import SegmentTime, Transmission
 from concord.bus.clocks import ClockDrift, ClockErrors, SyncOutage
 from concord.bus.flexray.channels.counters import SlotCounters
 from concord.bus.flexray.channels.plan import ChannelPlan
-from concord.bus.flexray.clocks.disturbances import Disturbances
-from concord.bus.flexray.clocks.disturbed import clock_errors
-from concord.bus.flexray.clocks.settings import SyncNode
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cut_shares import SentFrames, sent_frames
 from concord.bus.flexray.dynamic_segment import Request
 from concord.bus.flexray.message_slot import MessageSlot
-from concord.bus.flexray.publication import Publications, sync_nodes_of
+from concord.bus.flexray.publication import Publications, SyncNode, sync_nodes_of
 from concord.bus.flexray.relay import check_relay
 from concord.bus.flexray.share_frames import null_frame, payload_lengths
-from concord.bus.flexray.slot_table import SlotTable, allocate, check_reachable
+from concord.bus.flexray.slot_table import SlotTable, allocate
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
     bus_load,
@@ -32,7 +29,6 @@ from concord.bus.flexray.timing import (
     segments,
     static_transmissions,
 )
-from concord.bus.flexray.written_slots import other_stations, written_table
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 
@@ -102,6 +98,10 @@ class FlexRayBus(SlottedBus):
         Oscillators drift and clocks are corrected in all cycles, also in those between the steps.
         """
         number = self.timebase.bus_cycle
+        # Only here: most networks have oscillators that do not drift.
+        from concord.bus.flexray.clocks.disturbances import Disturbances
+        from concord.bus.flexray.clocks.disturbed import clock_errors
+
         disturbed = Disturbances(drifts, outages).renumbered(number)
         return clock_errors(self.cluster, nodes, disturbed, number(cycle), self._sync)
 
@@ -266,32 +266,6 @@ def flexray_bus(
             )
         check_relay(schedule, cluster, table, latch_delay_us)
     return FlexRayBus(schedule, cluster, table, arbiter, classes)
-
-
-def written_bus(
-    slots: Sequence[MessageSlot],
-    cluster: Cluster,
-    schedule: Schedule,
-    share_bytes: int,
-    arbiter: Arbiter,
-) -> FlexRayBus:
-    """Return the bus of a written slot table, whose schedule is that of `written_schedule`.
-
-    Raises:
-        ValueError: the table does not hold the shares, or gives a node to a station.
-    """
-    nodes = schedule.nodes
-    static: tuple[int, ...] = ()
-    dynamic: tuple[int, ...] = ()
-    if any(schedule.static_table):
-        static = payload_lengths(share_bytes, cluster.static_payload_bytes)
-    if any(schedule.contender_table):
-        dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
-    table = written_table(slots, cluster, nodes, static, dynamic)
-    for request in table.requests().values():
-        check_reachable(request, cluster)
-    others = other_stations(slots, cluster, nodes)
-    return FlexRayBus(schedule, cluster, table, arbiter, ONE_CLASS, others)
 
 
 def _filled(owned: Sequence[Transmission], sizes: Sequence[int]) -> list[Transmission]:

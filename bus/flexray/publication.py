@@ -6,12 +6,19 @@ from typing import NamedTuple
 
 from concord.bus.flexray.channels.plan import STARTUP_NODES
 from concord.bus.flexray.clock_constraints import MOST_SYNC_NODES
-from concord.bus.flexray.clocks.settings import SyncNode
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.frame import Channel
 from concord.bus.flexray.slot_table import SlotAssignment, SlotTable
 
 _LEAST_SYNC_NODES = 2
+
+
+class SyncNode(NamedTuple):
+    """A node that sends sync frames in its key slot; `starts`: its frames are startup frames."""
+
+    node: int
+    key_slot: int
+    starts: bool
 
 
 class Slot(NamedTuple):

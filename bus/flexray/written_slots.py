@@ -8,11 +8,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from math import lcm
 
+from concord.bus.arbitration import Arbiter
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import Request
+from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.message_slot import MessageSlot
-from concord.bus.flexray.slot_table import SlotAssignment, SlotTable, deviations
+from concord.bus.flexray.share_frames import payload_lengths
+from concord.bus.flexray.slot_table import SlotAssignment, SlotTable, check_reachable, deviations
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import ONE_CLASS
 
 
 def written_schedule(slots: Sequence[MessageSlot], cluster: Cluster, nodes: int) -> Schedule:
@@ -103,20 +106,6 @@ def other_stations(
                 f"network (0 to {nodes - 1}) in a dynamic slot; give the node an ID of its own"
             )
     return others
-
-
-def requests_of(slots: Sequence[MessageSlot], cluster: Cluster) -> list[Request]:
-    """Return the requests of other stations in the dynamic segment, all in one cycle.
-
-    Of stations that take turns in one frame ID the longest frame counts.
-    """
-    longest: dict[int, MessageSlot] = {}
-    for slot in slots:
-        if slot.frame_id >= cluster.first_dynamic_id:
-            known = longest.setdefault(slot.frame_id, slot)
-            if slot.payload_bytes > known.payload_bytes:
-                longest[slot.frame_id] = slot
-    return [Request(slot.node, slot.frame_id, slot.payload_bytes) for slot in longest.values()]
 
 
 def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]:
@@ -224,3 +213,29 @@ def _contended(slots: Sequence[MessageSlot], payloads: Sequence[int]) -> list[Me
                 )
         taken += chosen
     return taken
+
+
+def written_bus(
+    slots: Sequence[MessageSlot],
+    cluster: Cluster,
+    schedule: Schedule,
+    share_bytes: int,
+    arbiter: Arbiter,
+) -> FlexRayBus:
+    """Return the bus of a written slot table, whose schedule is that of `written_schedule`.
+
+    Raises:
+        ValueError: the table does not hold the shares, or gives a node to a station.
+    """
+    nodes = schedule.nodes
+    static: tuple[int, ...] = ()
+    dynamic: tuple[int, ...] = ()
+    if any(schedule.static_table):
+        static = payload_lengths(share_bytes, cluster.static_payload_bytes)
+    if any(schedule.contender_table):
+        dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
+    table = written_table(slots, cluster, nodes, static, dynamic)
+    for request in table.requests().values():
+        check_reachable(request, cluster)
+    others = other_stations(slots, cluster, nodes)
+    return FlexRayBus(schedule, cluster, table, arbiter, ONE_CLASS, others)

@@ -2,15 +2,15 @@
 
 from functools import partial
 
+from concord.features.measurement_bus.options import Reception, SensorSlots
+from concord.features.measurement_bus.receivers import ReceiverDefinition, ReceiverParts
+from concord.features.measurement_bus.reception import Receiver
 from concord.features.sets.cyclewise_receiver import (
     CutCycle,
     CyclewiseReceiver,
     augmented_cycle,
     conditioned_cycle,
 )
-from concord.features.measurement_bus.options import Reception, SensorSlots
-from concord.features.measurement_bus.receivers import ReceiverDefinition, ReceiverParts
-from concord.features.measurement_bus.reception import Receiver
 from concord.features.sets.filters.closed_form import closed_form_step
 from concord.features.sets.filters.recursive_estimator import optimal_step
 from concord.features.sets.filters.tight_estimator import conditioned

@@ -15,20 +15,12 @@ from concord.nodes.node_state import NodeConfig
 from concord.runtime.disk import NotWritten
 from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints, endpoints_below
 from concord.runtime.network.zenoh_transport import LinkError, start_router
-from concord.runtime.processes.environment.failures import Deserted, Disagreement
-from concord.runtime.processes.environment.management import Management
-from concord.runtime.processes.environment.pacing import Lockstep, RealTime
-from concord.runtime.processes.environment.process import run_environment
 from concord.runtime.processes.job import Happened, Job, Order
 from concord.runtime.processes.node.lockstep import LockstepNode
 from concord.runtime.processes.node.membership import Membership
 from concord.runtime.processes.node.process import run_node
 from concord.runtime.processes.node.real_time import RealTimeNode
-from concord.runtime.processes.recorder.process import run_recorder
 from concord.runtime.processes.supervisor import TRY_AGAIN
-from concord.runtime.recording import McapRecorder
-from concord.runtime.whole_steps import WholeSteps
-from concord.scenarios.build import build_environment
 from concord.scenarios.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings, fingerprint
 from concord.scenarios.script import script_of
@@ -52,6 +44,11 @@ def be_recorder(
     job: Job, links: dict[str, ZenohEndpoints], tell: Callable[[Happened], None]
 ) -> None:
     """Keep what is said, and let others hear it."""
+    # Only here, after the fork: no node needs the recorder.
+    from concord.runtime.processes.recorder.process import run_recorder
+    from concord.runtime.recording import McapRecorder
+    from concord.runtime.whole_steps import WholeSteps
+
     scenario = job.setup.scenario
     try:
         frames = frame_format(scenario)
@@ -72,6 +69,13 @@ def be_environment(
 
     Orders to the launcher process go to the pipe `orders`; it reports ends of nodes by `ends`.
     """
+    # Only here, after the fork: no node needs the environment.
+    from concord.runtime.processes.environment.failures import Deserted, Disagreement
+    from concord.runtime.processes.environment.management import Management
+    from concord.runtime.processes.environment.pacing import Lockstep, RealTime
+    from concord.runtime.processes.environment.process import run_environment
+    from concord.scenarios.build import build_environment
+
     started, told = time.monotonic(), 0.0
 
     def give(order: Order) -> None:

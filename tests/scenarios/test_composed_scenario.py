@@ -142,6 +142,3 @@ def test_ranges_are_those_of_the_declarations(value: float, name: str):
 
 def test_the_page_of_options_is_as_the_types_declare_them():
     assert options_page.PAGE.read_text(encoding="utf-8") == options_page.page()
-
-
-def test_the_types_of_options_are_those_of_the_declarations():

@@ -17,10 +17,10 @@ from concord.bus.flexray.clocks.settings import (
     TICK,
     ClockSettings,
     Mask,
-    SyncNode,
     clock_settings,
 )
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.publication import SyncNode
 
 _SLEW = 12
 """A drifting clock gains or loses at most this part of the precision in a cycle more than in the

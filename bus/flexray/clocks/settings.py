@@ -15,6 +15,7 @@ from concord.bus.flexray.clock_constraints import (
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import CLOCK_DEVIATION
 from concord.bus.flexray.levels import precision_us
+from concord.bus.flexray.publication import SyncNode
 
 # Chosen for clusters that do not state the parameter.
 _DAMPING_MICROTICKS = 1
@@ -26,14 +27,6 @@ TICK = 10**9
 """Units of time in a microtick of a clock without deviation, so a clock's rate is an integer."""
 
 Mask = NDArray[np.bool_]
-
-
-class SyncNode(NamedTuple):
-    """A node that sends sync frames in its key slot; `starts`: its frames are startup frames."""
-
-    node: int
-    key_slot: int
-    starts: bool
 
 
 class ClockSettings(NamedTuple):

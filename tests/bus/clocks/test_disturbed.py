@@ -11,9 +11,10 @@ from concord.bus.clocks import ClockDrift, SyncOutage
 from concord.bus.flexray.clocks import disturbed
 from concord.bus.flexray.clocks.disturbances import Disturbances
 from concord.bus.flexray.clocks.disturbed import clock_errors, slew_ppm
-from concord.bus.flexray.clocks.settings import SyncNode, clock_settings
+from concord.bus.flexray.clocks.settings import clock_settings
 from concord.bus.flexray.levels import precision_us
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
+from concord.bus.flexray.publication import SyncNode
 
 
 @settings(max_examples=20)
