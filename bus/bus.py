@@ -1,8 +1,7 @@
 """The interface of a bus: which node sends when, in which bytes, and how long that takes.
 
 Nodes, environment, drivers and reports know a bus by this face alone.
-`concord.bus.flexray.flexray_bus`, `concord.features.other_buses.plca.plca_bus`, `concord.features.other_buses.can_fd.can_fd_bus` and
-`concord.bus.ideal` implement it.
+`concord.bus.flexray.flexray_bus` and `concord.bus.ideal` implement it; features bring others.
 """
 
 from collections.abc import Callable, Sequence

@@ -5,7 +5,7 @@
     scenario = cc.scenario("target-tracking", nodes=20, graph="geometric")
     runs = cc.simulate(scenario.with_(rule="hcmci"), runs=50)
 
-docs/python_api.md explains each name. A name is loaded when it is first used. Features and installed
+docs/python_api.md explains each name. A name is loaded when it is first used. Features and
 packages add names by their entries (`concord.entries`).
 """
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from concord import filters as filters
     from concord import topology as topology
     from concord.experiments.python_api import agree as agree
-    from concord.experiments.python_api import compare as compare
-    from concord.experiments.python_api import design as design
     from concord.experiments.python_api import launch as launch
     from concord.experiments.python_api import load as load
-    from concord.experiments.python_api import plots as plots
     from concord.experiments.python_api import scenario as scenario
     from concord.experiments.python_api import simulate as simulate
-    from concord.experiments.python_api import sweep as sweep
+    from concord.experiments.python_studies import compare as compare
+    from concord.experiments.python_studies import design as design
+    from concord.experiments.python_studies import plots as plots
+    from concord.experiments.python_studies import sweep as sweep
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
     from concord.plants.own_plant import from_control as from_control

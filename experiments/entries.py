@@ -2,6 +2,7 @@
 
 _CLI = "concord.experiments.cli"
 _API = "concord.experiments.python_api"
+_STUDIES = "concord.experiments.python_studies"
 
 COMMANDS = {
     "run": (
@@ -115,11 +116,11 @@ NAMES = {
         "ARCHITECTURE.md).",
     ),
     "compare": (
-        f"{_API}:compare",
+        f"{_STUDIES}:compare",
         "Every built-in rule and your own on a fixed suite of cases; docs/which_rule_when.md.",
     ),
     "design": (
-        f"{_API}:design",
+        f"{_STUDIES}:design",
         "The cheapest network that meets an error target; its `recommended` is None if none does.",
     ),
     "launch": (
@@ -133,7 +134,7 @@ NAMES = {
         "the file when it is first used.",
     ),
     "plots": (
-        f"{_API}:plots",
+        f"{_STUDIES}:plots",
         "Return the pictures of a sweep or a design by name.",
     ),
     "scenario": (
@@ -145,7 +146,7 @@ NAMES = {
         "Runs of a scenario, all at once where its rule has an array form.",
     ),
     "sweep": (
-        f"{_API}:sweep",
+        f"{_STUDIES}:sweep",
         "Every combination of the options' values; docs/sweeps.md names the variables.",
     ),
 }

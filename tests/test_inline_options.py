@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from concord.experiments.cli.command_line import COMMANDS, GROUPS, main
+from concord.entries import chosen, entries
+from concord.experiments.cli.command_line import main
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -31,15 +32,14 @@ def _help(command: tuple[str, ...]) -> str:
 
 def every_option() -> frozenset[str]:
     """The options of all commands."""
-    names = [(name,) for name in COMMANDS]
-    names += [(group, *word) for group in GROUPS for word in _words_of(group)]
+    names = [(name, *word) for name in entries("COMMANDS") for word in ((), *_words_of(name))]
     return frozenset().union(*map(options_of, names))
 
 
-def _words_of(group: str) -> list[tuple[str, ...]]:
-    module = __import__(f"concord.experiments.cli.{GROUPS[group][0]}", fromlist=["x"])
-    commands = getattr(module, GROUPS[group][1])
-    return [(name,) for name in commands]
+def _words_of(name: str) -> list[tuple[str, ...]]:
+    """The commands of a group."""
+    loaded = chosen("COMMANDS", name)
+    return [(inner,) for inner in loaded] if isinstance(loaded, dict) else []
 
 
 def inline_code(page: Path) -> Iterator[str]:
@@ -56,9 +56,9 @@ def unknown_options(code: str) -> set[str]:
     if not code.startswith("concord "):
         return set()
     words = code.split()[1:]
-    command = tuple(words[: 1 + (words[0] in GROUPS and len(words) > 1)])
-    if command[0] not in COMMANDS | GROUPS:
-        return set() if command[0] == "--version" else {command[0]}
+    if words[0] not in entries("COMMANDS"):
+        return set() if words[0] == "--version" else {words[0]}
+    command = tuple(words[: 1 + (bool(_words_of(words[0])) and len(words) > 1)])
     return asked - options_of(command)
 
 

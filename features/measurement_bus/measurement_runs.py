@@ -1,7 +1,6 @@
 """A measurement bus and a filter behind it over all steps at once, in batches of runs.
 
-The same functions as in `concord.features.measurement_bus.reception`, so a lane here and a network of
-nodes agree.
+The functions are those of `reception.py`, so a lane here and a network of nodes agree.
 """
 
 import numpy as np

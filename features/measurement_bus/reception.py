@@ -102,7 +102,7 @@ class SensorNode:
         return SensorContent(measured.step, reading, content.held, False), ()
 
     def bid(self, content: SensorContent) -> int | None:
-        """The weighted change since the last transmission (`concord.features.measurement_bus.measurement_bus.bid`)."""
+        """The weighted change since the last transmission (`measurement_bus.bid`)."""
         urgency = int(bid(content.reading - content.held, self.weight(content.step)))
         return None if urgency < 0 else urgency
 

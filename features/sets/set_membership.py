@@ -2,7 +2,7 @@
 
 A step carries the node's set and the held sets of its neighbours through the plant, under every
 noise that the bounds allow, and cuts with the node's readings. Where the noise of a reading also
-drives the plant, the reading narrows the next set too (`concord.features.sets.filters.joint_noise`). A round
+drives the plant, the reading narrows the next set too (`filters/joint_noise.py`). A round
 cuts with the neighbours' shares. The truth lies in each of these sets, so it lies in their
 intersection. The rule needs no weights and cannot count a share twice. A lost share makes the set
 wider, but the set still holds the truth.

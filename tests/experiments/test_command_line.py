@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from concord._version import __version__
-from concord.experiments.cli.command_line import COMMANDS, GROUPS, main
+from concord.entries import entries
+from concord.experiments.cli.command_line import main
 from concord.experiments.repeated_options import refuse_repeated
 from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.processes import CONCORD
@@ -37,7 +38,7 @@ def loaded_by(*arguments: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("name", COMMANDS | GROUPS)
+@pytest.mark.parametrize("name", entries("COMMANDS"))
 def test_every_command_says_what_it_is(name: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit, match="0"):
         main([name, "--help"])
@@ -48,7 +49,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit, match="0"):
         main(["--help"])
     printed = capsys.readouterr().out
-    assert all(f"• {name} " in printed for name in COMMANDS | GROUPS)
+    assert all(f"• {name} " in printed for name in entries("COMMANDS"))
 
 
 def test_an_unknown_command_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]):
@@ -83,7 +84,7 @@ def test_a_completion_script_knows_commands_and_options(
 ):
     printed = concord(capsys, "completion", shell)
     assert (printed.code, printed.err) == (0, "")
-    assert all(name in printed.out for name in (*COMMANDS, *GROUPS, "--cycle-stretch"))
+    assert all(name in printed.out for name in (*entries("COMMANDS"), "--cycle-stretch"))
 
 
 @pytest.mark.skipif(BASH is None, reason="needs bash")

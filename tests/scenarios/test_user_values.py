@@ -9,7 +9,7 @@ import networkx
 import numpy as np
 import pytest
 
-from concord.experiments.python_api import sweep
+from concord.experiments.python_studies import sweep
 from concord.filters.conditioning import condition
 from concord.filters.fusion import averaging
 from concord.filters.gaussian import Gaussian

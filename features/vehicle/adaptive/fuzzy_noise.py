@@ -75,7 +75,7 @@ def adapt(
 
 @dataclass(frozen=True)
 class FuzzyMatching:
-    """`adapt` as a `concord.features.vehicle.adaptive.noise_law.NoiseLaw`; limits are factors of the
+    """`adapt` as a `noise_law.NoiseLaw`; limits are factors of the
     variance of the data sheet."""
 
     window: int = WINDOW

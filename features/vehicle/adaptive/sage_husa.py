@@ -115,7 +115,7 @@ def adapt(
 
 @dataclass(frozen=True)
 class SageHusa:
-    """`adapt` as a `concord.features.vehicle.adaptive.noise_law.NoiseLaw`; limits are factors of the
+    """`adapt` as a `noise_law.NoiseLaw`; limits are factors of the
     variance of the data sheet."""
 
     forgetting: float = 0.98

@@ -1,4 +1,4 @@
-"""docs/flexray_toolbox.md: its code runs as printed, and names every tool of concord.features.flexray_tools.api."""
+"""docs/flexray_toolbox.md: its code runs as printed, and names every tool of cc.flexray."""
 
 from pathlib import Path
 
