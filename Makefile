@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills mutants overload fuzz stories docs pictures lock clean
+.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare laboratory stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
@@ -58,21 +58,11 @@ bench: .venv/dev.stamp
 bench-compare: .venv/dev.stamp
 	$(BIN)/python -m benchmarks.compare $(BASE) runs/bench.json
 
-# Sixteen nodes in real time at three times the machine's capacity: how old their estimates are.
-overload: .venv/dev.stamp
-	$(BIN)/python -m tests.endurance.overload --minutes 5
-
-# 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
-kills: .venv/dev.stamp
-	$(BIN)/python -m tests.endurance.kills
-
-# A million malformed messages against a network that runs: all counted, no estimate changed.
-fuzz: .venv/dev.stamp
-	$(BIN)/python -m tests.endurance.fuzz
-
-# Changes of the source that no test notices, of a random sample: docs/mutation_testing.md.
-mutants: .venv/dev.stamp
-	$(BIN)/python -m tests.endurance.mutants
+# The developers' laboratory: drawn and killed networks, overload, malformed messages, break-ins.
+# One part: `make laboratory PART=mutants ARGS="filters --seed 1"`; docs/simulation_testing.md.
+PART ?= drawn lives kills overload fuzz security
+laboratory: .venv/dev.stamp
+	set -e; for part in $(PART); do $(BIN)/python -m tests.laboratory $$part $(ARGS); done
 
 # Golden transcripts of faults and phases; read the difference before you commit it.
 stories: .venv/dev.stamp

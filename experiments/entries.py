@@ -86,16 +86,6 @@ COMMANDS = {
         f"{_CLI}.doctor:doctor",
         "Look whether this machine can run a network; exit code 1 if something is failing.",
     ),
-    "simulation-testing": (
-        f"{_CLI}.simulation_testing:simulation_testing",
-        "Draw a scenario and a swarm of faults from each seed, run it, and check after "
-        "every cycle.",
-    ),
-    "lives": (
-        f"{_CLI}.simulation_testing:lives",
-        "Draw a network from each seed whose processes start, stop and die on a virtual "
-        "clock, in lockstep or real time, and check promises on time and members.",
-    ),
     "help": (
         f"{_CLI}.command_line:show_help",
         "Explain concord or one of its commands.",

@@ -47,14 +47,9 @@ RULES = {
         "Consensus on prior and novelty, safe gain: consistent, near centralised with more rounds.",
         f"{_TYPES}.rules:HybridConsensus",
     ),
-    "hcmci-classical": (
-        "concord.scenarios.rules_of_rounds:HCMCI_CLASSICAL",
-        "hcmci with the number of nodes as gain: overconfident before the rounds converge.",
-        f"{_TYPES}.rules:ClassicalHybridConsensus",
-    ),
     "icf": (
         "concord.scenarios.rules_of_rounds:ICF",
-        "Information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident.",
+        "Information-weighted consensus in the bytes of ci: overconfident before rounds converge.",
         f"{_TYPES}.rules:InformationConsensus",
     ),
     "diffusion": (

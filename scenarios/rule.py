@@ -30,6 +30,7 @@ class Rule(NamedTuple):
             beliefs (steps,) of one filter that takes the readings of these nodes; None for the
             Gaussian filter of the scenario.
         lacking: what of a scenario the batched rule does not have; None if it has all.
+        consistent: it claims that covariances cover the errors, or that sets hold the truth.
         weighted: the network's consensus weights are used.
         share_bytes: (scenario, states) -> length of the longest share of a rule without `share`.
     """
@@ -44,6 +45,7 @@ class Rule(NamedTuple):
     ) = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     weighted: bool = True
+    consistent: bool = True
     share_bytes: Callable[[Scenario, int], int] | None = None
 
     @property

@@ -1,4 +1,4 @@
-"""Rules that use fresh shares alone: hcmci, hcmci-classical, icf, diffusion, kcf, centralised."""
+"""Rules that use fresh shares alone: hcmci, icf, diffusion, kcf, centralised."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -12,7 +12,6 @@ from concord.filters.fusion import (
     information_weighted,
     kalman_consensus,
 )
-from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from concord.topology.weights import Weights
 
 
-def hybrid(gain: hybrid_consensus.Gain, context: RuleContext) -> AnyRule:
+def hybrid(context: RuleContext) -> AnyRule:
     """For consensus on prior and novelty."""
     rows = np.eye(len(context.neighbours))
 
@@ -41,7 +40,7 @@ def hybrid(gain: hybrid_consensus.Gain, context: RuleContext) -> AnyRule:
 
     rule = InformationRounds(
         begin,
-        partial(hybrid_consensus.from_information, states=context.states, gain=gain),
+        partial(hybrid_consensus.from_information, states=context.states),
         partial(hybrid_consensus.sound, states=context.states),
     )
     return FreshConsensus(rule, context.trigger, context.contends)
@@ -119,23 +118,14 @@ def _require_all_at_once(
         )
 
 
-HCMCI = once(
-    HYBRID,
-    partial(hybrid, safe_gain),
-    partial(averages_in_batch, partial(hybrid, safe_gain), HYBRID),
-)
-HCMCI_CLASSICAL = once(
-    HYBRID,
-    partial(hybrid, classical_gain),
-    partial(averages_in_batch, partial(hybrid, classical_gain), HYBRID),
-    check=_require_the_average,
-)
+HCMCI = once(HYBRID, hybrid, partial(averages_in_batch, hybrid, HYBRID))
 ICF = once(
     INFORMATION_PAIRS,
     weighted_information,
     partial(averages_in_batch, weighted_information, INFORMATION_PAIRS),
     check=_require_the_average,
+    consistent=False,
 )
-DIFFUSION = once(NOVELTIES, diffused)
-KCF = once(NOVELTIES_AND_MEANS, pulled, weighted=False)
+DIFFUSION = once(NOVELTIES, diffused, consistent=False)
+KCF = once(NOVELTIES_AND_MEANS, pulled, weighted=False, consistent=False)
 CENTRALISED = once(NOVELTIES, diffused, check=_require_all_at_once, weighted=False)

@@ -17,7 +17,6 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.holds import Decayed, Raw
 from concord.scenarios.types.rules import (
-    ClassicalHybridConsensus,
     DiffusionRule,
     FloodingRule,
     InformationConsensus,
@@ -131,9 +130,9 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
 
 
 def _too_few_rounds(setup: Setup) -> Iterator[str]:
-    """icf and hcmci-classical count on the average: enough rounds, and nobody silent."""
+    """Rule icf counts on the average: enough rounds, and no silent node."""
     scenario = setup.scenario
-    if not isinstance(scenario.rule, InformationConsensus | ClassicalHybridConsensus):
+    if not isinstance(scenario.rule, InformationConsensus):
         return
     modulus = second_eigenvalue_modulus(_weights(setup))
     needed = rounds_to(_DISAGREEMENT, modulus)

@@ -5,8 +5,8 @@ import resource
 from collections.abc import Iterable
 from functools import partial
 from heapq import nlargest
+from pathlib import Path
 
-from concord.experiments.doctor.machine import available_memory_mb
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
@@ -107,3 +107,22 @@ def check_address_space(driver: str) -> None:
 
 def _size(megabytes: float) -> str:
     return f"{megabytes / 1024:,.1f} GB" if megabytes >= 1024 else f"{megabytes:.0f} MB"
+
+
+def available_memory_mb(
+    proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")
+) -> float | None:
+    """Free memory as the kernel counts it, or what is left to this container if that is less."""
+    try:
+        lines = (proc / "meminfo").read_text().splitlines()
+        fields = dict(line.split(":", 1) for line in lines if ":" in line)
+        free = int(fields["MemAvailable"].split()[0]) / 1024
+    except (OSError, KeyError, ValueError):
+        return None
+    try:
+        limit = int((group / "memory.max").read_text())
+        used = int((group / "memory.current").read_text())
+    except (OSError, ValueError):
+        # No such group, or the word max.
+        return free
+    return min(free, (limit - used) / 1024**2)

@@ -24,11 +24,11 @@ settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 LONGEST = (
     "papers/test_labelled_study", "papers/test_reproduce_wac", "test_readme",
-    "experiments/test_simulation_testing", "experiments/identification/test_without_slip",
+    "laboratory/test_drawn", "experiments/identification/test_without_slip",
     "papers/test_reproduce_adlukf", "experiments/identification/test_causes",
-    "endurance/test_supervision", "experiments/test_up", "test_batched_agreement",
+    "laboratory/test_supervision", "experiments/test_up", "test_batched_agreement",
     "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",
-    "scenarios/test_logged_positions", "experiments/test_keys_command", "test_sweep_pages",
+    "scenarios/test_logged_positions", "laboratory/test_security", "test_sweep_pages",
     "dashboard/test_browser_live", "dashboard/test_browser_launch", "dashboard/test_monkey",
     "experiments/test_partition", "runtime/test_recording",
     "experiments/identification/test_output_error", "test_gallery",

@@ -36,7 +36,7 @@ TOLERANCES = {
 }
 RUNS = (0, 3)
 PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
-FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf")
+FRESH = ("hcmci", "icf", "diffusion", "kcf")
 NOVELTIES = ("diffusion", "kcf")
 CLOCKS_LOST = "kills that leave clocks without sync frames (--changes)"
 RULES = ("ci", "wac", "local", "trimmed-ci", *FRESH)
@@ -114,7 +114,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     asked = {
         "nodes": draw(st.integers(1, 6)),
         "graph": draw(st.sampled_from(["ring", "path", "star", "complete"])),
-        "weights": draw(st.sampled_from(WEIGHTS[: 2 if rule in ("hcmci-classical", "icf") else 3])),
+        "weights": draw(st.sampled_from(WEIGHTS[: 2 if rule == "icf" else 3])),
         "rule": rule,
         "rounds": draw(st.integers(1, 3)),
         "steps": draw(st.integers(1, 7)),

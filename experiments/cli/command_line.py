@@ -17,9 +17,6 @@ from concord.experiments.user_errors import user_errors
 from concord.runtime.failure import RunFailed
 from concord.topology.names import unknown_name
 
-# Names that commands had before.
-FORMER_NAMES = {"torture": "simulation-testing"}
-
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C,
@@ -27,7 +24,6 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments == ["--version"]:
         arguments = ["version"]
-    arguments = [FORMER_NAMES.get(word, word) for word in arguments[:1]] + arguments[1:]
     prepare_streams()
     try:
         command = _command(arguments[:1])

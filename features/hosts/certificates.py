@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 
 from concord.features.hosts.access_control import ROUTER_NAME, access_control, rights, size_limits
+from concord.runtime.network.links import check_private
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -235,23 +236,54 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
         raise ValueError(f"{folder}: cannot write keys there ({error.strerror})") from None
 
 
-def read_authority(folder: Path) -> Authority:
-    """The authority that `make_keys` left in a folder.
+def faults_of_keys(folder: Path, now: datetime) -> dict[str, str]:
+    """Return each zenoh configuration of a folder by its name, and what is wrong with it, "" for
+    nothing: an expired certificate, another authority, a key of another certificate, readers.
 
     Raises:
-        ValueError: there is none, or it cannot be read.
+        ValueError: there are none, or the library is missing.
     """
     require_library()
-    from cryptography import x509
-    from cryptography.hazmat.primitives import serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
+    files = sorted(folder.glob("*.json"))
+    if not files:
+        raise ValueError(f"{folder}: no keys there; `concord keys {folder} --nodes N` makes them")
+    authorities: set[bytes] = set()
+    faults = {}
+    for file in files:
+        try:
+            config = msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
+            tls = config["transport"]["link"]["tls"]
+            faults[file.name] = _fault_of_pair(tls, file.stem, now, authorities)
+            check_private(file)
+            if not config.get("access_control", {"enabled": True})["enabled"]:
+                faults[file.name] = "its access control is off"
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            faults[file.name] = f"not sound ({error})"
+    return faults
 
+
+def _fault_of_pair(tls: dict[str, str], name: str, now: datetime, authorities: set[bytes]) -> str:
+    """Return what is wrong with a certificate and its key; note its authority."""
+    from cryptography import x509
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives import serialization
+
+    def decoded(what: str) -> bytes:
+        return base64.b64decode(tls[f"{what}_base64"])
+
+    certificate = x509.load_pem_x509_certificate(decoded("connect_certificate"))
+    key = serialization.load_pem_private_key(decoded("connect_private_key"), None)
+    authority = x509.load_pem_x509_certificate(decoded("root_ca_certificate"))
+    authorities.add(decoded("root_ca_certificate"))
     try:
-        certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
-        key = serialization.load_pem_private_key((folder / AUTHORITY_KEY).read_bytes(), None)
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"{folder}: no authority there ({error}); `concord keys {folder} --nodes N` makes one"
-        ) from None
-    assert isinstance(key, ec.EllipticCurvePrivateKey), "we write no other"
-    return Authority(certificate, key)
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, InvalidSignature):
+        return "its certificate is of another authority than the one that it trusts"
+    until = certificate.not_valid_after_utc
+    if not certificate.not_valid_before_utc <= now <= until:
+        return f"its certificate is valid until {until:%Y-%m-%d}, not now: make new keys"
+    if certificate.public_key() != key.public_key():
+        return "its key belongs to another certificate"
+    if certificate.subject != _name(name):
+        return f"its certificate is of {certificate.subject.rfc4514_string()}"
+    return "" if len(authorities) == 1 else "it trusts another authority than the files before it"

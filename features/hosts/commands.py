@@ -225,12 +225,10 @@ def _checked_nodes(nodes: tuple[int, ...], count: int) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class UpOptions:
-    """The hosts, and whether to start."""
+    """The hosts, and the form of the results."""
 
     hosts: tyro.conf.Positional[Path]
     """File that says which host runs which nodes (docs/deployment.md)."""
-    print: Literal["shell", "systemd", "compose", "kubernetes"] | None = None
-    """Print the commands or files of another program instead of starting over ssh."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -238,14 +236,10 @@ class UpOptions:
 def up(options: Annotated[UpOptions, tyro.conf.arg(name="")]) -> None:
     """Start a network on several hosts over ssh, show its log, and end it."""
     from concord.features.hosts.plan import read_plan
-    from concord.features.hosts.printed import FORMS
     from concord.features.hosts.up import NetworkOverSsh, announcement
 
     with user_errors():
         plan = read_plan(options.hosts)
-        if options.print is not None:
-            sys.stdout.write(FORMS[options.print](plan))
-            return
     sys.stderr.write(announcement(plan) + "\n")
     with NetworkOverSsh(plan, _log) as network:
         with user_errors():

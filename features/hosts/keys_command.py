@@ -2,17 +2,16 @@
 
 import sys
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import tyro
 from rich.console import Console
-from rich.table import Table
 
-from concord.experiments.security_check import IntrusionAttempt, check
 from concord.experiments.user_errors import user_errors
-from concord.features.hosts.certificates import make_keys
+from concord.features.hosts.certificates import faults_of_keys, make_keys
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class KeysOptions:
     """Whom to make keys for."""
 
     folder: tyro.conf.Positional[Path]
-    """A new folder for the keys; with --check, the folder of the keys to be tried."""
+    """A new folder for the keys; with --check, the folder of the keys to be checked."""
     nodes: int | None = None
     """Number of sensor nodes."""
     hosts: tuple[str, ...] = ()
@@ -29,16 +28,16 @@ class KeysOptions:
     days: int = 90
     """How long the certificates hold."""
     check: bool = False
-    """Try to break in with the keys in the folder, on this machine, and show what came of it."""
+    """Check the files of the folder: authority, dates, keys, and who may read them."""
     json: bool = False
     """Print one JSON object."""
 
 
 def keys(options: Annotated[KeysOptions, tyro.conf.arg(name="")]) -> None:
-    """Make certificates and access control for a network, or try to break in (--check)."""
+    """Make certificates and access control for a network, or check such files (--check)."""
     if options.nodes is None and not options.check:
         with user_errors():
-            raise ValueError("--nodes is missing: say for how many nodes, or --check to try keys")
+            raise ValueError("--nodes is missing: say for how many nodes, or --check to check keys")
     if options.nodes is not None:
         with user_errors():
             files = make_keys(options.folder, options.nodes, options.hosts, options.days)
@@ -58,19 +57,11 @@ def _show_files(options: KeysOptions, files: list[str]) -> None:
 
 def _check(options: KeysOptions) -> None:
     with user_errors():
-        attempts = check(options.folder)
-    held = all(attempt.held for attempt in attempts)
+        faults = faults_of_keys(options.folder, datetime.now(UTC))
     if options.json:
-        result = {"held": held, "attempts": attempts}
+        result = {"sound": not any(faults.values()), "files": faults}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
     else:
-        _show_attempts(attempts)
-    sys.exit(0 if held else 1)
-
-
-def _show_attempts(attempts: list[IntrusionAttempt]) -> None:
-    table = Table("who", "tried", "arrived", "outcome")
-    for one in attempts:
-        outcome = one.outcome if one.held else f"{one.outcome}: BROKEN, not {one.wanted}"
-        table.add_row(one.who, one.tried, f"{one.arrived}/{one.tries}", outcome)
-    Console().print(table)
+        for name, fault in faults.items():
+            sys.stdout.write(f"{name}: {fault or 'ok'}\n")
+    sys.exit(1 if any(faults.values()) else 0)

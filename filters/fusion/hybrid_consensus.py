@@ -11,16 +11,12 @@ Source: Battistelli, Chisci, Mugnai, Farina and Graziano (2015), Consensus-based
 nonlinear filtering, IEEE Trans. Automatic Control 60(5). The safe gain is this project's.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from concord.filters.fusion.novelty import novelty
 from concord.filters.fusion.packed import pack, packed_length, unpack
 from concord.filters.gaussian import Gaussian, Information, to_gaussian, to_information
 from concord.filters.linalg import cholesky
-
-Gain = Callable[[np.ndarray], np.ndarray]  # row a_i (..., N) -> g_i (...)
 
 # A row that came through float32 sums to 1 within this.
 _ROW_TOLERANCE = 1e-3
@@ -41,26 +37,23 @@ def begin(prior: Gaussian, posterior: Gaussian, row: np.ndarray) -> np.ndarray:
     return np.concatenate((*pairs, row), axis=-1)
 
 
-def from_information(numbers: np.ndarray, states: int, gain: Gain) -> Gaussian:
+def from_information(numbers: np.ndarray, states: int) -> Gaussian:
     """The belief that averages (..., 2 (n + n (n + 1) / 2) + N) come to: Omega^- + g dOmega.
 
-    With `safe_gain`: promises consistency. If every prior bounds its node's error covariance, the
-    result bounds the fused one, whatever the correlation of the priors. The average of the priors
-    is a covariance intersection, and every novelty enters with a factor g_i a_ij <= 1, as if its
-    noise were larger than it is. The rule equals the local filter when the node heard no neighbour
-    (a_i a unit row, g = 1). It tends to the centralised filter as the rounds tend to infinity
-    (a_ij -> 1/N, g -> N).
+    The gain g_i = 1 / max_j a_ij is the largest with g_i a_ij <= 1 for all j. The rule promises
+    consistency. If every prior bounds its node's error covariance, the result bounds the fused one,
+    whatever the correlation of the priors. The average of the priors is a covariance intersection,
+    and every novelty enters with a factor g_i a_ij <= 1, as if its noise were larger than it is.
+    The rule equals the local filter when the node heard no neighbour (a_i a unit row, g = 1). It
+    tends to the centralised filter as the rounds tend to infinity (a_ij -> 1/N, g -> N).
 
-    With `classical_gain`: the same limit, reached sooner, but before it some novelty enters with
-    N a_ij > 1 and the belief is overconfident; so also wherever shares are lost or not published.
-
-    Both fail where a share is held over into the next step: it would bring its novelty again.
+    The rule fails where a share is held over into the next step: it would bring its novelty again.
 
     Returns:
         mean (..., n), cov (..., n, n); NaN in a lane that is not positive definite.
     """
     prior, added, row = _split(numbers, states)
-    g = gain(row)
+    g = 1.0 / row.max(axis=-1)
     return to_gaussian(
         Information(
             prior.vector + g[..., None] * added.vector,
@@ -69,21 +62,11 @@ def from_information(numbers: np.ndarray, states: int, gain: Gain) -> Gaussian:
     )
 
 
-def safe_gain(row: np.ndarray) -> np.ndarray:
-    """The largest g with g a_ij <= 1 for all j: 1 / max_j a_ij (...) of rows (..., N)."""
-    return 1.0 / row.max(axis=-1)
-
-
-def classical_gain(row: np.ndarray) -> np.ndarray:
-    """The number of nodes, N (...) of rows (..., N)."""
-    return np.full(row.shape[:-1], float(row.shape[-1]))
-
-
 def sound(numbers: np.ndarray, states: int) -> np.ndarray:
     """Whether numbers (..., m) are of a node in its senses: (...) bool.
 
     Its prior information is positive definite, also with N times its novelty added; so is then what
-    averages of sound ones come to, with either gain. Its row is of weights.
+    averages of sound ones come to. Its row is of weights.
     """
     prior, added, row = _split(numbers, states)
     most = prior.matrix + row.shape[-1] * added.matrix

@@ -29,8 +29,8 @@ def from_information(numbers: np.ndarray, nodes: int) -> Gaussian:
     """The belief that averages (..., n + n (n + 1) / 2) come to: N times the average.
 
     Promises: the centralised filter on linear plants where the rounds reach the exact average
-    (complete graph, one round). Algebraically it is `hybrid_consensus` with the classical gain, in
-    less than half of the bytes.
+    (complete graph, one round). Algebraically it is `hybrid_consensus` with the gain N, in less
+    than half of the bytes.
 
     Fails: overconfident with finitely many rounds, as some novelty enters with N a_ij > 1, and more
     so where shares are lost or not published. It takes some ln(.01) / ln(SLEM) rounds with

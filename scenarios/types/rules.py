@@ -66,12 +66,8 @@ class HybridConsensus(NumberRule, frozen=True, kw_only=True, tag="hcmci"):
     """Consensus on prior and novelty, safe gain: consistent, near centralised with more rounds."""
 
 
-class ClassicalHybridConsensus(NumberRule, frozen=True, kw_only=True, tag="hcmci-classical"):
-    """hcmci with the number of nodes as gain: overconfident before the rounds converge."""
-
-
 class InformationConsensus(NumberRule, frozen=True, kw_only=True, tag="icf"):
-    """Information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident."""
+    """Information-weighted consensus in the bytes of ci: overconfident before rounds converge."""
 
 
 class DiffusionRule(NumberRule, frozen=True, kw_only=True, tag="diffusion"):

@@ -8,11 +8,6 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from concord.experiments.simulation_testing.case import SimulationCase
-from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
-from concord.experiments.simulation_testing.draw import draw_case
-from concord.experiments.simulation_testing.promises import CONSISTENT
-from concord.experiments.simulation_testing.shrink import replay_command, shrink
 from concord.filters.fusion.averaging import Directly
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.at_node import AtNode
@@ -21,11 +16,11 @@ from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rules import rule_of
 from concord.scenarios.rules_of_beliefs import Average
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import in_options, scenario_with_known
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.rules import UserRule
 from concord.studies.agree import agreement
 from concord.studies.check.belief_promises import (
     BELIEF_PROMISES,
@@ -33,7 +28,9 @@ from concord.studies.check.belief_promises import (
     with_shapes_checked,
 )
 from concord.studies.check.neighbourhoods import Neighbourhood, draw_neighbourhood
+from concord.studies.check.network_promise import draw_network, network_fault
 from concord.studies.check.promise import Promise, PromiseResult, fault_of, raised
+from concord.studies.check.shrinking import shrink, smaller_networks
 from concord.studies.sweep.workers import Engine
 
 _LOSS = 0.3
@@ -75,8 +72,8 @@ def checked_rule(name: str, consistent: bool, engine: Engine) -> CheckedRule:
         except ValueError as refusal:
             refusals.append(refusal)
             continue
-        is_known = name in CONSISTENT or isinstance(setup.scenario.rule, UserRule)
-        return CheckedRule(name, setup.scenario, _average(setup), consistent and is_known, engine)
+        claims = consistent and rule_of(setup.scenario).consistent
+        return CheckedRule(name, setup.scenario, _average(setup), claims, engine)
     raise refusals[0]
 
 
@@ -178,27 +175,32 @@ def check_agreement(scenario: Scenario) -> PromiseResult:
 
 
 def _stands_random_networks(rule: CheckedRule, cases: Sequence[int]) -> PromiseResult:
-    outcomes = dict(rule.engine(partial(_outcome, rule.name), cases))
+    found = dict(rule.engine(partial(_seen_in_network, rule.name, rule.consistent), cases))
     for place, number in enumerate(cases):
-        if (broken := outcomes[place].broken) is not None:
+        if found[place]:
             smallest = shrink(
-                draw_case(number, {"rule": rule.name}), partial(_breaks, rule.name, broken)
+                draw_network(number, rule.name),
+                smaller_networks,
+                partial(_breaks_too, rule),
             )
-            scenario = smallest.scenario
-            seen = f"{broken}: {run_case(smallest).seen}"
-            size = f"{scenario.nodes} nodes, {scenario.steps} steps"
-            return PromiseResult(
-                "BROKEN", f"case {number}, {size}: {seen}", number, replay_command(smallest)
-            )
+            size = f"{smallest.nodes} nodes, {smallest.steps} steps"
+            seen = _fault_of_network(smallest, rule.consistent)
+            again = _command("run", smallest)
+            return PromiseResult("BROKEN", f"case {number}, {size}: {seen}", number, again)
     return PromiseResult("holds", f"{len(cases)} networks under random faults")
 
 
-def _breaks(name: str, broken: str, case: SimulationCase) -> bool:
-    return case.scenario.rule.name == name and run_case(case).broken == broken
+def _seen_in_network(name: str, consistent: bool, number: int) -> str:
+    return _fault_of_network(draw_network(number, name), consistent)
 
 
-def _outcome(name: str, number: int) -> SimulationOutcome:
-    return run_case(draw_case(number, {"rule": name}))
+def _breaks_too(rule: CheckedRule, scenario: Scenario) -> bool:
+    is_same = scenario.rule.name == rule.name
+    return is_same and bool(_fault_of_network(scenario, rule.consistent))
+
+
+def _fault_of_network(scenario: Scenario, consistent: bool) -> str:
+    return fault_of(partial(network_fault, scenario, consistent))
 
 
 def _command(command: str, scenario: Scenario) -> str:

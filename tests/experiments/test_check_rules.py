@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from concord.experiments.cli.command_line import main
+from concord.scenarios import rules
 from concord.studies.check.rule_promises import RULE_PROMISES
 from tests.pages import ROOT, blocks
 
@@ -82,14 +83,33 @@ def test_a_rule_that_claims_no_consistency_breaks_no_promise(capsys: pytest.Capt
     assert (code, rows["consistent"]["status"]) == (0, "note")
 
 
-def test_a_network_that_fails_is_repeated_by_another_command(capsys: pytest.CaptureFixture[str]):
+def test_a_network_that_fails_is_repeated_by_its_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     _, rows = checked(capsys, f"{WRONG}:wrong_shape", "--promise", "networks", "--cases", "1")
+    assert rows["networks"]["status"] == "BROKEN" and "2 nodes, 1 steps" in rows["networks"]["seen"]
     again = shlex.split(rows["networks"]["again"])
-    assert again[:2] == ["concord", "simulation-testing"] and rows["networks"]["status"] == "BROKEN"
-    with pytest.raises(SystemExit) as ended:
-        main([*again[1:], "--workers", "1"])
-    assert ended.value.code == 1
-    assert rows["networks"]["seen"].partition("steps: ")[2] in capsys.readouterr().out
+    assert again[:2] == ["concord", "run"]
+    with pytest.raises(AssertionError, match=rows["networks"]["seen"].rpartition(": ")[2]):
+        main([*again[1:], "--out", str(tmp_path / "run"), "--json"])
+
+
+def test_information_that_counts_twice_shows_in_a_network_too(capsys: pytest.CaptureFixture[str]):
+    asked = (f"{WRONG}:double_counting", "--promise", "networks", "--case", "5")
+    code, rows = checked(capsys, *asked)
+    assert (code, rows["networks"]["status"]) == (1, "BROKEN")
+    seen = rows["networks"]["seen"]
+    assert "errs by" in seen or "of the least variance" in seen
+    code, rows = checked(capsys, *asked, "--no-consistent")
+    assert (code, rows["networks"]["status"]) == (0, "holds")
+
+
+def test_a_rule_of_the_table_says_itself_whether_it_is_consistent():
+    """A new rule claims consistency unless its entry says otherwise."""
+    claims = {name: rule.consistent for name, rule in rules._RULES.items()}
+    wrong = {name for name, claimed in claims.items() if not claimed}
+    assert wrong == {"trimmed-ci", "icf", "diffusion", "kcf"}
+    assert rules.Rule(None, lambda _: None, lambda _: None).consistent
 
 
 def test_a_rule_of_other_shares_skips_promises_about_beliefs(capsys: pytest.CaptureFixture[str]):

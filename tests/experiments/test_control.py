@@ -16,8 +16,8 @@ from concord.nodes.commands import Answer, in_words
 from concord.nodes.messages import decode
 from concord.runtime.network.control_client import Client, NotThere
 from concord.runtime.network.network_file import read_network
-from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
+from tests.laboratory.running import Running
 from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
 pytestmark = [

@@ -2,17 +2,16 @@
 
 import errno
 import resource
-import socket
 import tempfile
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from concord.experiments.doctor import checks as doctor
-from concord.experiments.doctor import machine as doctor_machine
-from concord.experiments.doctor.finding import Finding, Verdict
+from concord.experiments.cli import doctor
+from concord.experiments.cli.doctor import Finding, Verdict
 from concord.runtime.network.zenoh_transport import LinkError
+from concord.studies.memory import available_memory_mb
 from tests.features.flexray_tools.flexray_support import concord, refused
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
@@ -29,71 +28,62 @@ OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
     ],
 )
 def test_memory_is_weighed_against_the_nodes(nodes: int, free_mb: float | None, verdict: Verdict):
-    assert doctor_machine.memory(nodes, free_mb).verdict is verdict
+    assert doctor.memory(nodes, free_mb).verdict is verdict
 
 
 def test_the_nodes_that_are_said_to_fit_do_fit():
-    seen = doctor_machine.memory(1000, 2000)
+    seen = doctor.memory(1000, 2000)
     fit = int(seen.cure.split("at most ")[1].split()[0])
-    assert doctor_machine.memory(fit, 2000).verdict is not FAILING
-    assert doctor_machine.memory(fit + 1, 2000).verdict is FAILING
+    assert doctor.memory(fit, 2000).verdict is not FAILING
+    assert doctor.memory(fit + 1, 2000).verdict is FAILING
 
 
 def test_a_container_s_limit_counts(tmp_path: Path):
     (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable: 4194304 kB\n")
-    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 4096
+    assert available_memory_mb(tmp_path, tmp_path) == 4096
     (tmp_path / "memory.current").write_text(str(200 << 20))
     (tmp_path / "memory.max").write_text("max\n")
-    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 4096
+    assert available_memory_mb(tmp_path, tmp_path) == 4096
     (tmp_path / "memory.max").write_text(str(1000 << 20))
-    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 800
-    assert doctor_machine.available_memory_mb(tmp_path / "none", tmp_path) is None
+    assert available_memory_mb(tmp_path, tmp_path) == 800
+    assert available_memory_mb(tmp_path / "none", tmp_path) is None
 
 
 @pytest.mark.parametrize(
     ("limit", "verdict"), [(1024, OK), (300, FAILING), (resource.RLIM_INFINITY, OK)]
 )
 def test_the_limit_of_open_files(limit: int, verdict: Verdict):
-    assert doctor_machine.files(16, limit).verdict is verdict
+    assert doctor.files(16, limit).verdict is verdict
 
 
 def test_no_folder_for_sockets_is_a_failure(monkeypatch: pytest.MonkeyPatch):
     def none(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "none left")
 
-    assert doctor_machine.sockets().verdict is OK
+    assert doctor.sockets().verdict is OK
     monkeypatch.setattr(tempfile, "TemporaryDirectory", none)
-    found = doctor_machine.sockets()
+    found = doctor.sockets()
     assert found.verdict is FAILING
     assert found.cure
 
 
-def test_a_taken_page_port_is_a_warning():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        assert doctor_machine.page_port(port).verdict is WARNING
-    assert doctor_machine.page_port(port).verdict is OK
-
-
 def test_many_threads_of_linear_algebra_are_named():
-    many = doctor_machine.blas({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "8"}, 2)
+    many = doctor.blas({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "8"}, 2)
     assert many.verdict is WARNING and "unset OMP_NUM_THREADS:" in many.cure
-    assert doctor_machine.blas({"OPENBLAS_NUM_THREADS": "1"}, None).verdict is OK
+    assert doctor.blas({"OPENBLAS_NUM_THREADS": "1"}, None).verdict is OK
 
 
 def test_late_and_wrong_clocks():
-    assert doctor_machine.clock([1e-4, 2e-4, 0.5], 2026).verdict is OK
-    assert doctor_machine.clock([0.01, 0.02, 0.01], 2026).verdict is WARNING
-    assert doctor_machine.clock([1e-4], 1970).verdict is FAILING
-    assert len(doctor_machine.measured_lateness_s(3)) == 3
+    assert doctor.clock([1e-4, 2e-4, 0.5], 2026).verdict is OK
+    assert doctor.clock([0.01, 0.02, 0.01], 2026).verdict is WARNING
+    assert doctor.clock([1e-4], 1970).verdict is FAILING
+    assert len(doctor.measured_lateness_s(3)) == 3
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert doctor_machine.disk(tmp_path).verdict is not FAILING
-    monkeypatch.setattr(doctor_machine.os, "access", lambda *_: False)
-    assert doctor_machine.disk(tmp_path).verdict is FAILING
+    assert doctor.disk(tmp_path).verdict is not FAILING
+    monkeypatch.setattr(doctor.os, "access", lambda *_: False)
+    assert doctor.disk(tmp_path).verdict is FAILING
 
 
 def test_a_silent_or_shut_zenoh_is_a_failure():
@@ -128,19 +118,6 @@ def test_the_extras_are_those_of_the_package():
     assert set(doctor.EXTRAS) == set(project["project"]["optional-dependencies"])
 
 
-def test_data_is_read_to_the_end(tmp_path: Path):
-    assert doctor.data_folder(tmp_path / "none").seen == "no such folder"
-    assert doctor.data_folder(tmp_path).verdict is FAILING
-    (tmp_path / "Barcodes.dat").write_text("1 5\n")
-    broken = doctor.data_folder(tmp_path)
-    assert broken.verdict is FAILING and "Groundtruth" in broken.seen
-
-
-def test_the_environment_names_folders():
-    named = doctor.folders_of({"CONCORD_MRCLAM": "a", "CONCORD_INTEL_LAB": ""})
-    assert named == [Path("a")]
-
-
 @pytest.mark.parametrize(("verdict", "code"), [(OK, 0), (WARNING, 0), (FAILING, 1)])
 @pytest.mark.parametrize("as_json", [True, False])
 def test_the_exit_code_tells(
@@ -150,10 +127,8 @@ def test_the_exit_code_tells(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    from concord.experiments.cli import doctor as doctor_command
-
     found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
-    monkeypatch.setattr(doctor_command, "look", lambda nodes, data: iter(found))
+    monkeypatch.setattr(doctor, "look", lambda nodes: iter(found))
     told = concord(capsys, "doctor", *(["--json"] if as_json else []))
     assert told.code == code
     if as_json:
@@ -183,4 +158,4 @@ def test_this_machine_in_a_fresh_process(tmp_path: Path):
     assert said["healthy"] is (done.returncode == 0)
     seen = {one["subject"]: one for one in said["findings"]}
     assert seen["zenoh"]["verdict"] == "ok", seen["zenoh"]
-    assert {"sockets", "memory", "threads", "clock", "disk", "browser", "page"} <= set(seen)
+    assert {"sockets", "memory", "threads", "clock", "disk", "browser"} <= set(seen)

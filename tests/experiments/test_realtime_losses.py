@@ -21,8 +21,8 @@ from concord.results.records.trace import Trace
 from concord.scenarios.build import build_environment
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
-from tests.endurance.running import Running
 from tests.experiments.support import broken_promises, small, trace_of
+from tests.laboratory.running import Running
 from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
 pytestmark = [

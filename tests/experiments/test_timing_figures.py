@@ -19,8 +19,8 @@ from concord.results.figures.timing_figures import figures_of
 from concord.runtime.processes.clock import EnvironmentClock
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
-from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
+from tests.laboratory.running import Running
 from tests.processes import PATIENCE_S, PROC, holds_within
 
 # It looks on up to this step, and leaves before the end.

@@ -21,7 +21,7 @@ from tests.nodes.networks import (
     run,
 )
 
-FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf", "centralised")
+FRESH = ("hcmci", "icf", "diffusion", "kcf", "centralised")
 ALL = ("ci", "wac", "local", *FRESH)
 F = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
 Q = np.array([[0.2, 0.05], [0.05, 0.1]])

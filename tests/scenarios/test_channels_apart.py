@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.frame import decode
-from concord.experiments.simulation_testing.case_run import run_case
-from concord.experiments.simulation_testing.draw import draw_case
-from concord.experiments.simulation_testing.script import is_harmless
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
 from concord.results.records.trace import Trace, read_trace
@@ -20,6 +17,9 @@ from concord.scenarios.setup import Setup
 from concord.studies.agree import agreement
 from tests.experiments.support import scenario
 from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.laboratory.case import draw_case
+from tests.laboratory.case_run import run_case
+from tests.laboratory.script import is_harmless
 from tests.nodes.changing import run, same_bits
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from concord.experiments.simulation_testing.case_run import run_case
-from concord.experiments.simulation_testing.draw import draw_case
 from concord.features.other_buses.can_fd.can_fd_bus import CanFdBus
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
@@ -18,6 +16,8 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.studies.agree import agreement
 from tests.experiments.support import scenario
+from tests.laboratory.case import draw_case
+from tests.laboratory.case_run import run_case
 from tests.nodes.changing import run, same_bits
 from tests.nodes.fault_networks import total
 

@@ -2,7 +2,9 @@
 
 import base64
 import ipaddress
+import shutil
 import stat
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -10,7 +12,12 @@ import msgspec
 import pytest
 
 from concord.features.hosts.access_control import access_control, rights
-from concord.features.hosts.certificates import AUTHORITY, AUTHORITY_KEY, make_keys, read_authority
+from concord.features.hosts.certificates import (
+    AUTHORITY,
+    AUTHORITY_KEY,
+    faults_of_keys,
+    make_keys,
+)
 
 x509 = pytest.importorskip("cryptography.x509")
 HOSTS = ("sensors.example.org", "192.0.2.7")
@@ -40,7 +47,7 @@ def test_there_is_one_file_per_process_and_only_its_owner_reads_it(keys: Path):
 
 
 def test_every_certificate_is_the_authority_s_and_says_one_name(keys: Path):
-    authority = read_authority(keys).certificate
+    authority = x509.load_pem_x509_certificate((keys / AUTHORITY).read_bytes())
     for file in keys.glob("*.json"):
         one = certificate(file)
         one.verify_directly_issued_by(authority)
@@ -105,9 +112,52 @@ def test_addresses_are_hosts(tmp_path: Path, address: str):
     assert ipaddress.ip_address(address) in names.get_values_for_type(x509.IPAddress)
 
 
-def test_an_authority_that_is_not_there_is_a_sentence(tmp_path: Path):
-    with pytest.raises(ValueError, match="no authority there"):
-        read_authority(tmp_path)
+def test_sound_keys_have_no_fault_until_they_expire(keys: Path):
+    faults = faults_of_keys(keys, datetime.now(UTC))
+    assert set(faults) == {file.name for file in keys.glob("*.json")} and not any(faults.values())
+    later = faults_of_keys(keys, datetime.now(UTC) + timedelta(days=31))
+    assert all("not now: make new keys" in fault for fault in later.values())
+
+
+def test_keys_that_are_not_sound_are_told_with_the_reason(keys: Path, tmp_path: Path):
+    here, other = tmp_path / "here", tmp_path / "other"
+    make_keys(other, 1, (), 1)
+    shutil.copytree(keys, here)
+
+    def told(name: str) -> str:
+        return faults_of_keys(here, datetime.now(UTC))[name]
+
+    def spoil(name: str, change: Callable[[dict], None]) -> None:
+        config = msgspec.json.decode((here / name).read_bytes())
+        change(config)
+        (here / name).write_bytes(msgspec.json.encode(config))
+
+    def tls(config: dict) -> dict:
+        return config["transport"]["link"]["tls"]
+
+    strange = tls(msgspec.json.decode((other / "node-0.json").read_bytes()))
+    own = tls(msgspec.json.decode((here / "node-1.json").read_bytes()))
+    key, authority = "connect_private_key_base64", "root_ca_certificate_base64"
+    spoil("node-0.json", lambda config: tls(config).update({authority: strange[authority]}))
+    assert "of another authority" in told("node-0.json")
+    spoil("monitor.json", lambda config: tls(config).update({key: own[key]}))
+    assert "its key belongs to another certificate" in told("monitor.json")
+    spoil("operator.json", lambda config: tls(config).update(own))
+    assert "its certificate is of CN=node-1" in told("operator.json")
+    router = next(here.glob("router*.json")).name
+    spoil(router, lambda config: config["access_control"].update(enabled=False))
+    assert "access control is off" in told(router)
+    (here / "recorder.json").chmod(0o644)
+    assert "chmod 600" in told("recorder.json")
+    (here / "environment.json").write_text("{")
+    assert "not sound" in told("environment.json")
+    shutil.copy(other / "node-0.json", here / "node-0.json")
+    assert "trusts another authority" in told("node-0.json")
+
+
+def test_a_folder_without_keys_is_a_sentence(tmp_path: Path):
+    with pytest.raises(ValueError, match="no keys there"):
+        faults_of_keys(tmp_path, datetime.now(UTC))
 
 
 def test_what_may_be_published_belongs_to_one_process():

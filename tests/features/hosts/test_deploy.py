@@ -14,8 +14,10 @@ from concord.experiments.__main__ import main
 from concord.results.folder import read_description
 from concord.runtime.network.links import free_ports
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command
+from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.features.hosts.hosts import hosts
 from tests.features.hosts.test_hosts import write_setup
+from tests.pages import ROOT, blocks
 from tests.processes import PROC
 
 SERVICES = ("concord-router.service", "concord-environment.service", "concord-node@.service")
@@ -232,3 +234,21 @@ def test_pods_start_commands_of_ours(pod: str, capsys: pytest.CaptureFixture[str
     assert end.value.code == 2
     said = capsys.readouterr().err
     assert "cannot be read" in said or "no such file" in said
+
+
+def test_the_compose_file_of_the_page_starts_commands_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    yaml = pytest.importorskip("yaml", reason="comes with kubernetes-validate")
+    page = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
+    (block,) = blocks(page, "yaml")
+    services = yaml.safe_load(block)["services"]
+    assert set(services) == {"router", "environment", "node-0", "node-1", "node-2"}
+    assert services.pop("router")["command"][:3] == ["concord", "router", "--listen"]
+    # There is no setup here: each command is read to the end before it misses the file.
+    monkeypatch.chdir(tmp_path)
+    for name, service in services.items():
+        assert service["depends_on"] == ["router"]
+        program, *words = service["command"]
+        assert program == "concord" and "tcp/router:7447" in words
+        assert "cannot be read" in refused(concord(capsys, *words)), name

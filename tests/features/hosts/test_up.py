@@ -1,27 +1,18 @@
-"""`concord up`: a network over ssh, by a stand-in for which hosts are folders of this machine.
+"""`concord up`: a network over ssh, by a stand-in for which hosts are folders of this machine."""
 
-The same network as files of other programs.
-"""
-
-import os
 import signal
-import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from concord.experiments.__main__ import main
-from concord.features.hosts.plan import NetworkPlan, read_plan
-from concord.features.hosts.printed import FORMS
 from concord.results.folder import read_description
 from concord.runtime.drivers import in_this_process
 from concord.runtime.network.links import free_ports
 from concord.studies.agree import first_difference
 from tests.experiments.support import trace_of
 from tests.experiments.test_clusters import stand_in
-from tests.experiments.units import unit_command
 from tests.features.flexray_tools.flexray_support import concord
 from tests.features.hosts.test_hosts import write_setup
 from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
@@ -180,129 +171,3 @@ def test_a_host_that_cannot_be_reached_is_named(
 
 
 # --- The same network as files of other programs -------------------------------------------------
-
-
-def guarded(folder: Path, *hosts: str) -> NetworkPlan:
-    """A plan with keys, for which the routers have these names."""
-    pytest.importorskip("cryptography", reason="the extra secure makes certificates")
-    write_setup(folder, nodes=3, graph="path")
-    main(["keys", str(folder / "keys"), "--nodes", "3", "--hosts", *hosts])
-    tables = [
-        f'[hosts.{name}]\naddress = "{address}"\nnodes = {nodes}\n'
-        for name, address, nodes in zip(("alpha", "beta"), hosts, ([0, 2], [1]), strict=True)
-    ]
-    file = folder / "guarded.toml"
-    file.write_text('keys = "keys"\nenvironment = "beta"\n' + "".join(tables))
-    return read_plan(file)
-
-
-@pytest.mark.zenoh
-@pytest.mark.slow
-@needs_proc
-def test_the_printed_script_runs_the_network(machine: Path):
-    write_setup(machine, nodes=2, graph="path", steps=30)
-    script = machine / "up.sh"
-    script.write_text(FORMS["shell"](read_plan(hosts_file(machine))))
-    with (
-        family(("sh", str(script), "alpha"), machine) as alpha,
-        family(("sh", str(script), "beta"), machine) as beta,
-    ):
-        assert [one.end(90)[0] for one in (alpha, beta)] == [0, 0]
-        assert alpha.gone_at_once() and beta.gone_at_once()
-    assert read_description(machine / "runs" / "hosts").run == "hosts"
-    assert subprocess.run(["sh", script, "gamma"], capture_output=True).returncode == 2
-
-
-def without_keys(words: Sequence[str]) -> list[str]:
-    place = words.index("--keys")
-    return [*words[:place], *words[place + 2 :]]
-
-
-def test_the_printed_script_installs_what_the_units_need(machine: Path):
-    plan = guarded(machine, "alpha.example.org", "beta.example.org")
-    (machine / "deploy").symlink_to(Path(__file__).parents[2] / "deploy")
-    # The stand-in for systemctl writes down what it is asked for.
-    stand_in(machine / "bin", systemctl='#!/bin/sh\necho "$@" >> "$DESTDIR/asked"\n')
-    script = machine / "systemd.sh"
-    script.write_text(FORMS["systemd"](plan))
-    for host, keys, units in (
-        ("alpha", {"router", "node-0", "node-2"}, "concord-node@0 concord-node@2\n"),
-        (
-            "beta",
-            {"router", "environment", "recorder", "node-1"},
-            "concord-node@1\nstart concord-environment\n",
-        ),
-    ):
-        root = machine / host
-        root.mkdir()
-        environment = {**os.environ, "DESTDIR": str(root)}
-        subprocess.run(["sh", script, host], cwd=machine, env=environment, check=True)
-        etc = root / "etc" / "concord"
-        assert {file.stem for file in (etc / "keys").iterdir()} == keys
-        own = (machine / "keys" / f"router-{host}.example.org.json").read_bytes()
-        assert (etc / "keys" / "router.json").read_bytes() == own
-        assert (etc / "setup.json").read_bytes() == plan.setup.read_bytes()
-        assert (root / "asked").read_text().endswith(f"enable --now concord-router {units}")
-        assert (root / "etc" / "systemd" / "system" / "concord-node@.service").is_file()
-        variables = dict(
-            line.split("=", 1) for line in (etc / "concord.env").read_text().splitlines()
-        )
-        # The unit's command is the one that `concord up` starts, but for the place of the key.
-        unit = {**variables, "CREDENTIALS_DIRECTORY": "credentials"}
-        words = unit_command("concord-router.service", unit)
-        assert without_keys(words) == without_keys(plan.router(host).words)
-
-
-def test_the_compose_file_has_a_service_for_each_process(machine: Path):
-    yaml = pytest.importorskip("yaml", reason="comes with kubernetes-validate")
-    plan = guarded(machine, "alpha.example.org", "beta.example.org")
-    services = yaml.safe_load(FORMS["compose"](plan))["services"]
-    assert set(services) == {
-        "alpha-router", "alpha-node-0", "alpha-node-2",
-        "beta-router", "beta-environment", "beta-node-1",
-    }  # fmt: skip
-    for name, service in services.items():
-        program, *words = service["command"]
-        assert program == "concord" and set(service.get("depends_on", ())) <= set(services)
-        # Each sees setup and its own keys, which exist, at the path that its command names.
-        mounted = {}
-        for volume in service["volumes"]:
-            source, target, *_ = volume.split(":")
-            assert source == "runs" or (machine / source).is_file(), name
-            mounted[target.removeprefix("/var/lib/concord/")] = source
-        named = words[words.index("--keys") + 1]
-        assert any(path.startswith(named) for path in mounted)
-        assert sum("node-" in path for path in mounted) == ("node" in name)
-    aliases = services["beta-router"]["networks"]["default"]["aliases"]
-    assert aliases == ["beta.example.org"]
-    # Without keys a router is known by the name of its service, as an address cannot be given.
-    without = hosts_file(machine, beta="nodes = [1, 2]")
-    services = yaml.safe_load(FORMS["compose"](read_plan(without)))["services"]
-    assert any(
-        word.startswith("tcp/alpha-router:") for word in services["alpha-environment"]["command"]
-    )
-
-
-def test_compose_refuses_certificates_for_addresses(
-    machine: Path, capsys: pytest.CaptureFixture[str]
-):
-    guarded(machine, "10.0.0.1", "10.0.0.2")
-    said = concord(capsys, "up", "guarded.toml", "--print", "compose")
-    assert said.code == 2 and "services have names" in said.err
-
-
-def test_the_manifest_is_that_of_deploy_for_as_many_nodes(machine: Path):
-    yaml = pytest.importorskip("yaml", reason="comes with kubernetes-validate")
-    validator = pytest.importorskip("kubernetes_validate", reason="of the development group")
-    items = yaml.safe_load(FORMS["kubernetes"](guarded(machine, "a", "b")))["items"]
-    for one in items:
-        validator.validate(one, "1.33", strict=True)
-    [nodes] = [one["spec"] for one in items if one["metadata"]["name"] == "concord-nodes"]
-    assert (nodes["completions"], nodes["parallelism"]) == (3, 3)
-
-
-@pytest.mark.parametrize("form", ["systemd", "kubernetes"])
-def test_forms_that_need_keys_say_so(form: str, machine: Path, capsys: pytest.CaptureFixture[str]):
-    write_setup(machine, nodes=2, graph="path")
-    said = concord(capsys, "up", hosts_file(machine), "--print", form)
-    assert said.code == 2 and f"--print {form}: its files expect keys" in said.err

@@ -1,1 +1,0 @@
-"""Random scenarios under random faults, checked against an independent ledger."""

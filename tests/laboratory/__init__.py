@@ -1,0 +1,1 @@
+"""The developers' laboratory: networks under drawn faults, kills, hangs and malformed messages."""
