@@ -41,7 +41,7 @@ from concord.papers.liu2021.runs import (
     printed_step,
     simulate,
 )
-from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
+from concord.papers.liu2021.solver import Solution, SolverFailed, matrix_inequality
 
 CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 # States, outputs, those of them that are sent in turn, noises.

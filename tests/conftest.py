@@ -23,15 +23,15 @@ settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
 LONGEST = (
-    "papers/test_labelled_study", "papers/test_reproduce_wac", "test_readme",
-    "laboratory/test_drawn", "experiments/identification/test_without_slip",
-    "papers/test_reproduce_adlukf", "experiments/identification/test_causes",
-    "laboratory/test_supervision", "experiments/test_up", "test_batched_agreement",
-    "test_labelled_arrays", "experiments/test_killed_sweeps", "papers/test_set_units",
-    "scenarios/test_logged_positions", "laboratory/test_security", "test_sweep_pages",
+    "papers/test_reproduce_wac", "test_readme", "laboratory/test_drawn",
+    "features/vehicle/identification/test_without_slip", "papers/test_reproduce_adlukf",
+    "features/vehicle/identification/test_causes", "laboratory/test_supervision",
+    "features/hosts/test_up", "test_batched_agreement", "test_labelled_arrays",
+    "experiments/test_killed_sweeps", "features/sets/test_set_units",
+    "features/vehicle/test_logged_positions", "laboratory/test_security", "test_sweep_pages",
     "dashboard/test_browser_live", "dashboard/test_browser_launch", "dashboard/test_monkey",
     "experiments/test_partition", "runtime/test_recording",
-    "experiments/identification/test_output_error", "test_gallery",
+    "features/vehicle/identification/test_output_error", "test_gallery",
 )  # fmt: skip
 """Files that take a worker most of a minute. A file that starts last lets the others wait."""
 

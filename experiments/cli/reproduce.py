@@ -25,7 +25,7 @@ from concord.runtime.failure import RunFailed
 from concord.studies.sweep.workers import WorkerLost
 from concord.topology.names import unknown_name
 
-NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")
+NAMES = ("wac", "meng2025", "adlukf", "liu2021")
 PAPERS = {name: f"concord.papers.{name}.reproduce" for name in NAMES}
 
 
@@ -47,8 +47,7 @@ class ReproduceOptions:
     paper: Annotated[str, tyro.conf.Positional]
     """wac: Widjiantoro et al., weighted-average-consensus UKF. meng2025: Meng et al., UKF under the
     FlexRay protocol. adlukf: Wang et al., adaptive dual-layer UKF. liu2021: Liu et al., set
-    membership over a FlexRay network. labelled: the project's own study of labelled measurements
-    beside consensus on beliefs."""
+    membership over a FlexRay network."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the report and the pictures. It must not exist."""
     seed: int | None = None

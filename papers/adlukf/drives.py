@@ -1,4 +1,4 @@
-"""Logged drives of another car, for Figure 9 and for what a better model brings.
+"""Other drives: logged ones for Figure 9, and other cars and manoeuvres.
 
 The paper drove a Volkswagen Santana and published no data. In its place this module
 simulates a Ford Escort with 29 states and writes its drives as logs with sensor noise. From there
@@ -19,22 +19,28 @@ from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
 from concord.features.vehicle.plant.model import Tyre, linear_tyre, tanh_tyre
 from concord.features.vehicle.plant.parameters import Car
 from concord.features.vehicle.plant.sensors import TEST_CAR, logged
-from concord.features.vehicle.plant.truth import ESCORT, data_sheet, simulate
+from concord.features.vehicle.plant.truth import ESCORT, TRUE_CARS, data_sheet, simulate
 from concord.features.vehicle.plant.tyre_identification import Identified, identify
 from concord.papers.adlukf.filters import CONTESTANTS
-from concord.papers.adlukf.small_angles import SmallAngles, small_angles
 from concord.papers.adlukf.study import (
     CASES,
     CHANNELS,
+    DRIVEN,
     PROCESS_VARIANCES,
     START_ERROR,
     TIME_STEP_S,
     ManoeuvreStudy,
+    SmallAngles,
+    build_study,
     estimate,
+    over_ckf,
     quantities,
+    ratio,
+    score,
+    small_angles,
 )
+from concord.papers.kit.side_by_side import side_by_side
 
-DRIVEN = ("double-lane-change", "serpentine")
 IDENTIFIED_FROM = "ramp-steer"
 GUESS_N_RAD = 100e3
 """Stiffness of an axle that identification starts from, as if nothing were known."""
@@ -97,3 +103,50 @@ def side_slip_rmse_deg(drive: Drive, estimate_: np.ndarray) -> float:
     """RMSE against the logged side slip, from the second step on."""
     error = estimate_[1:, 2] - np.degrees(drive.side_slip_rad[1:])
     return float(np.sqrt(np.nanmean(error**2)))
+
+
+# --- other cars and manoeuvres -------------------------------------------------------------------
+
+ELSEWHERE = (
+    ("bmw-320i", "step-steer"),
+    ("bmw-320i", "sine-with-dwell"),
+    ("bmw-320i", "braking-in-a-turn"),
+    ("bmw-320i-soft", "serpentine"),
+    *(("ford-escort", manoeuvre) for manoeuvre in DRIVEN),
+    *(("vw-vanagon", manoeuvre) for manoeuvre in DRIVEN),
+)
+"""The car on soft tyres spins in the double lane change."""
+
+_FILTERS = ("CKF", "AUKF", "ADLUKF", "ADLUKF printed")
+_STATES = ("v_x", "yaw rate")
+
+
+class Elsewhere(NamedTuple):
+    """A drive, and by filter, of v_x and yaw rate each (2,): RMSE(2 I) / RMSE(0.01 I), and the RMSE
+    over the CKF's with the true R."""
+
+    title: str
+    ratio: dict[str, np.ndarray]
+    over_ckf: dict[str, np.ndarray]
+
+
+def drive_elsewhere(seeds: int, seed: int) -> list[Elsewhere]:
+    """The filters on every drive, each with the data sheet of its car and the same Q."""
+    jobs = [(*where, seed + number) for number, where in enumerate(ELSEWHERE, start=1)]
+    return side_by_side("other cars and manoeuvres", partial(_drive, seeds), jobs)
+
+
+def _drive(seeds: int, job: tuple[str, str, int]) -> Elsewhere:
+    car, manoeuvre, seed = job
+    true_car = TRUE_CARS[car]
+    drive = simulate(MANOEUVRES[manoeuvre], true_car, TIME_STEP_S)
+    cases = tuple(CASES[name] for name in ("true R", "0.01 I", "2 I"))
+    # Where `study.each_seed` looks for them.
+    assert cases == tuple(CASES.values())[: len(cases)]
+    study = build_study((drive,), cases, seeds, seed, data_sheet(true_car))
+    results = {n: score(study, estimate(study, CONTESTANTS[n]).mean) for n in _FILTERS}
+    return Elsewhere(
+        f"{true_car.name}, {manoeuvre.replace('-', ' ')}",
+        {n: np.array([ratio(results, n, 0, s) for s in _STATES]) for n in _FILTERS},
+        {n: np.array([over_ckf(results, n, 0, s) for s in _STATES]) for n in _FILTERS},
+    )

@@ -1,22 +1,40 @@
-"""The ADLUKF study: two manoeuvres, several wrong and right beliefs of the noise, many seeds.
+"""The ADLUKF study: the model, two manoeuvres, wrong and right beliefs of the noise, many seeds.
 
 All manoeuvres, cases and seeds are lanes of one batch (manoeuvres, cases, seeds), so every filter
 runs once, and every filter sees the same noise.
 """
 
+import time
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from concord.features.vehicle.plant.drive import Drive
-from concord.features.vehicle.plant.model import SingleTrack, linear_tyre
+from concord.features.vehicle.plant.model import (
+    ACCELERATION as ACCELERATION_INPUT,
+)
+from concord.features.vehicle.plant.model import (
+    MIN_SPEED_M_S,
+    SIDE_SLIP,
+    SPEED,
+    YAW_RATE,
+    SingleTrack,
+    Tyre,
+    axles_of,
+    linear_tyre,
+)
+from concord.features.vehicle.plant.model import STEERING as STEERING_INPUT
 from concord.features.vehicle.plant.parameters import BMW_320I, Car
 from concord.features.vehicle.plant.sensors import TEST_CAR, draw_errors
 from concord.filters.gaussian import Gaussian
-from concord.papers.adlukf.filters import Contestant, StepInput
-from concord.papers.adlukf.small_angles import small_angles
+from concord.filters.metrics import nees
+from concord.filters.moments import Model
+from concord.papers.adlukf.filters import CONTESTANTS, Contestant, StepInput
 
+DRIVEN = ("double-lane-change", "serpentine")
+MANOEUVRES = tuple(name.replace("-", " ") for name in DRIVEN)
 TIME_STEP_S = 0.01
 """Of the paper's test car."""
 
@@ -38,6 +56,55 @@ START_ERROR = np.array([0.0, 0.0, 0.3])
 
 GROWTH = ((6.0, 4.0),)
 """From 6 s on the noise is four times as large."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmallAngles(SingleTrack):
+    """The paper's 3-DOF model (its references 21 and 22): the first order of the angles.
+
+    Attributes as `SingleTrack`.
+    """
+
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
+        """State (..., 3) one step later under control (..., 2)."""
+        assert control is not None, "a car is driven: give steering and acceleration"
+        car = self.car
+        yaw_rate, side_slip, speed = (state[..., i] for i in range(3))
+        front, rear = self.axle_forces(state, control[..., STEERING_INPUT])
+        moment = car.front_axle_m * front - car.rear_axle_m * rear
+        forward = np.maximum(speed, MIN_SPEED_M_S)
+        after = np.empty_like(state)
+        after[..., YAW_RATE] = yaw_rate + self.time_step_s * moment / car.yaw_inertia_kg_m2
+        turning = (front + rear) / (car.mass_kg * forward) - yaw_rate
+        after[..., SIDE_SLIP] = side_slip + self.time_step_s * turning
+        driving = yaw_rate * side_slip * speed + control[..., ACCELERATION_INPUT]
+        after[..., SPEED] = speed + self.time_step_s * driving
+        return after
+
+    def axle_slips(self, state: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slip angles (...) of front and rear axle in rad."""
+        turn = state[..., YAW_RATE] / np.maximum(state[..., SPEED], MIN_SPEED_M_S)
+        front = state[..., SIDE_SLIP] + self.car.front_axle_m * turn - steering
+        return front, state[..., SIDE_SLIP] - self.car.rear_axle_m * turn
+
+    def accelerations(
+        self, state: np.ndarray, control: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations (...) of the centre of mass: lateral, m/s^2, and of the yaw, rad/s^2."""
+        front, rear = self.axle_forces(state, control[..., STEERING_INPUT])
+        moment = self.car.front_axle_m * front - self.car.rear_axle_m * rear
+        return (front + rear) / self.car.mass_kg, moment / self.car.yaw_inertia_kg_m2
+
+
+def small_angles(
+    car: Car, tyre: Tyre, time_step_s: float, noise_cov: np.ndarray | None = None
+) -> SmallAngles:
+    """Return the paper's model of a car; without process noise of its own unless that is given."""
+    noise_cov = np.zeros((3, 3)) if noise_cov is None else noise_cov
+    return SmallAngles(car, axles_of(car), tyre, time_step_s, noise_cov)
+
+
+# --- manoeuvres, cases and seeds -----------------------------------------------------------------
 
 
 class NoiseCase(NamedTuple):
@@ -83,11 +150,6 @@ class ManoeuvreStudy(NamedTuple):
     believed: np.ndarray
     start: np.ndarray
     truth: np.ndarray
-
-    @property
-    def seeds(self) -> int:
-        """How many."""
-        return self.measurements.shape[3]
 
 
 def build_study(
@@ -169,13 +231,15 @@ def estimate(
             study.measurements[k],
             Q,
         )
-        belief, memory = contestant.step(belief, memory, task)
-        means[k], covs[k] = belief
+        update, memory = contestant.step(belief, memory, task)
+        belief = means[k], covs[k] = update.belief
     return Gaussian(means, covs)
 
 
 STATES = ("v_x", "v_y", "side slip", "yaw rate")
 UNITS = ("m/s", "m/s", "deg", "deg/s")
+JUDGED = ("v_x", "side slip", "yaw rate")
+"""The states of the filters; v_y follows from them."""
 
 
 class ErrorScores(NamedTuple):
@@ -199,3 +263,116 @@ def score(study: ManoeuvreStudy, means: np.ndarray) -> ErrorScores:
     return ErrorScores(
         np.abs(errors).mean(axis=0), np.sqrt((errors**2).mean(axis=0)), errors.std(axis=0)
     )
+
+
+ScoresByFilter = dict[str, ErrorScores]
+"""The scores of every filter by name."""
+
+
+def each_seed(scores: ErrorScores, measure: str, state: str, case: str = "true R") -> np.ndarray:
+    """One measure ("mae", "rmse" or "sd") of a state in a case: (manoeuvres, seeds)."""
+    values: np.ndarray = getattr(scores, measure)
+    return values[:, list(CASES).index(case), :, STATES.index(state)]
+
+
+def ratio(results: ScoresByFilter, name: str, manoeuvre: int, state: str) -> float:
+    """RMSE with R0 = 2 I over RMSE with R0 = 0.01 I, pooled over the seeds."""
+    high, low = (each_seed(results[name], "rmse", state, case) for case in ("2 I", "0.01 I"))
+    return _pooled(high[manoeuvre], low[manoeuvre])
+
+
+def over_ckf(
+    results: ScoresByFilter, name: str, manoeuvre: int, state: str, case: str = "true R"
+) -> float:
+    """RMSE of a filter over the CKF's in the same case, pooled over the seeds."""
+    ours, reference = (each_seed(results[n], "rmse", state, case) for n in (name, "CKF"))
+    return _pooled(ours[manoeuvre], reference[manoeuvre])
+
+
+def _pooled(ours: np.ndarray, reference: np.ndarray) -> float:
+    return float(np.sqrt((ours**2).mean() / (reference**2).mean()))
+
+
+# --- consistency, on data that obey the filters' model exactly -----------------------------------
+
+
+def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> ManoeuvreStudy:
+    """Cars that move as the model says, with its process noise, under the steering of a drive."""
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
+    start = np.broadcast_to(drive.states[0], (seeds, 3))
+    factor = np.linalg.cholesky(model.process_noise_cov(0))
+    truth = [start]
+    for k in range(drive.steps - 1):
+        moved = model.transition(truth[-1], drive.inputs[k], k)
+        truth.append(moved + generator.standard_normal((seeds, 3)) @ factor.T)
+    states = np.array(truth)
+    std = np.array([error.std for error in CHANNELS.values()])
+    exact = np.stack(
+        [model.measure(state, control) for state, control in zip(states, drive.inputs, strict=True)]
+    )
+    readings = exact + std * generator.standard_normal(exact.shape)
+    error = generator.standard_normal((seeds, 3)) @ np.linalg.cholesky(PRIOR_COV).T
+    lane = (slice(None), None, None)
+    return ManoeuvreStudy(
+        model=model,
+        cases=(NoiseCase("matched", "the model is exact"),),
+        controls=drive.inputs[:, None, None, None],
+        measurements=readings[lane],
+        believed=np.broadcast_to(std**2, (1, 1, seeds, 3)),
+        start=(start + error)[None, None],
+        truth=states[lane],
+    )
+
+
+def average_nees(study: ManoeuvreStudy, contestant: Contestant) -> np.ndarray:
+    """Mean of e' P^-1 e over all steps but the first, per seed (seeds,); 3 is consistent."""
+    belief = estimate(study, contestant)
+    return nees(belief.mean - study.truth, belief.cov)[1:].mean(axis=0)[0, 0]
+
+
+# --- cost ----------------------------------------------------------------------------------------
+
+_TIMED_STEPS = 300
+
+
+class FilterCost(NamedTuple):
+    """Sigma points that went through a model in a step, and seconds per step."""
+
+    evaluations: float
+    seconds: float
+
+
+def costs(study: ManoeuvreStudy) -> dict[str, FilterCost]:
+    """The cost of every filter on one lane of a study.
+
+    The time is the least of three runs, and belongs to this machine.
+    """
+    return {name: _cost(study, contestant) for name, contestant in CONTESTANTS.items()}
+
+
+def _cost(study: ManoeuvreStudy, contestant: Contestant) -> FilterCost:
+    points = 0
+
+    def counted(model: Model, states: np.ndarray) -> np.ndarray:
+        nonlocal points
+        points += states.size // states.shape[-1]
+        return model(states)
+
+    def run(wrap: bool) -> float:
+        belief = Gaussian(study.start[0, 0, 0], PRIOR_COV)
+        Q = study.model.process_noise_cov(0)
+        memory = contestant.begin(Q, study.believed[0, 0, 0])
+        started = time.perf_counter()
+        for k in range(1, _TIMED_STEPS + 1):
+            f = partial(study.model.transition, control=study.controls[k - 1, 0, 0, 0], step=k - 1)
+            h = partial(study.model.measure, control=study.controls[k, 0, 0, 0])
+            if wrap:
+                f, h = partial(counted, f), partial(counted, h)
+            task = StepInput(f, h, study.measurements[k, 0, 0, 0], Q)
+            update, memory = contestant.step(belief, memory, task)
+            belief = update.belief
+        assert np.isfinite(belief.mean).all(), f"{contestant.name} failed while it was timed"
+        return (time.perf_counter() - started) / _TIMED_STEPS
+
+    run(wrap=True)
+    return FilterCost(points / _TIMED_STEPS, min(run(wrap=False) for _ in range(3)))

@@ -1,12 +1,15 @@
-"""Figures of a report: each is saved as PNG and as SVG."""
+"""Figures of a report, saved as PNG and as SVG, and the numbers behind them as one netCDF file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from concord.results.records.netcdf_file import write_dataset
 
 # Okabe and Ito's colours, which most people can tell apart.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -51,3 +54,31 @@ def one_axes(height_inches: float, width_inches: float = 7.5) -> tuple[Figure, A
     axes = figure.subplots()
     axes.spines[["top", "right"]].set_visible(False)
     return figure, axes
+
+
+TRACES = "traces.nc"
+
+
+def write_traces(
+    folder: Path,
+    variables: Mapping[str, tuple[Sequence[str], np.ndarray]],
+    coordinates: Mapping[str, Sequence[str] | np.ndarray],
+) -> None:
+    """Write the variables, each with the names of its axes, to `traces.nc` in the folder.
+
+    Args:
+        folder: of the report.
+        variables: by name, (axes, values).
+        coordinates: labels along an axis, by axis.
+
+    Raises:
+        NotWritten: the disk does not take it.
+    """
+    # Only here: its import takes half a second.
+    import xarray
+
+    dataset = xarray.Dataset(
+        {name: (tuple(axes), values) for name, (axes, values) in variables.items()},
+        {axis: list(labels) for axis, labels in coordinates.items()},
+    )
+    write_dataset(dataset, folder / TRACES)

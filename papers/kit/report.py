@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from concord.papers.kit.checks import Check
-from concord.papers.kit.claims import Claim, Erratum
+from concord.papers.kit.judging import Check, Claim, Erratum
 from concord.results.folder import versions
 from concord.runtime.disk import writing
 

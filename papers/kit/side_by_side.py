@@ -1,6 +1,6 @@
 """The independent parts of a reproduction, on all cores of the machine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 from concord.studies.progress import progress
@@ -28,3 +28,9 @@ def side_by_side(
             found[place] = result
             on_done(len(found))
     return [found[place] for place in range(len(jobs))]
+
+
+def by_name(title: str, work: Callable[[str], Result], names: Iterable[str]) -> dict[str, Result]:
+    """Return the result of `work` for each name, as `side_by_side` computes it."""
+    jobs = list(names)
+    return dict(zip(jobs, side_by_side(title, work, jobs), strict=True))

@@ -22,10 +22,10 @@ def figures(batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]) -> dict
         "estimator": _state(batch, paper, tight, state)
         for state in range(N)
     }
-    for number, states in ((6, (0, 1)), (7, (2, 3))):
-        names = " and ".join(f"e{state + 1}" for state in states)
+    for number, (one, other) in ((6, (0, 1)), (7, (2, 3))):
+        names = f"e{one + 1} and e{other + 1}"
         caption = f"Figure {number}: estimation errors {names} and their upper bounds"
-        drawn[caption] = _errors(batch, paper, tight, states)
+        drawn[caption] = _errors(batch, paper, tight, (one, other))
     drawn["Figure 8: how large the sets of x are, every estimator on the paper's noise"] = _sizes(
         outcomes
     )

@@ -6,16 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from concord.papers.kit.checks import Check, above, at_most, near
-from concord.papers.kit.figures import save_all
+from concord.papers.kit.figures import save_all, write_traces
+from concord.papers.kit.judging import Check, above, at_most, near
 from concord.papers.kit.report import Paper, Section, markdown_table
-from concord.papers.kit.side_by_side import side_by_side
-from concord.papers.kit.traces import write_traces
+from concord.papers.kit.side_by_side import by_name
 from concord.papers.liu2021.claims import claims, errata, gather
-from concord.papers.liu2021.comparisons import STEPS, by_shape, by_slots, multipliers_apart
-from concord.papers.liu2021.costs import Costs, measure
+from concord.papers.liu2021.comparisons import (
+    STEPS,
+    Mutant,
+    by_shape,
+    by_slots,
+    multipliers_apart,
+    mutant_of_rule,
+    mutant_of_sign,
+)
 from concord.papers.liu2021.figures import figures
-from concord.papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
 from concord.papers.liu2021.runs import (
     ESTIMATORS,
     FAMILIES,
@@ -24,6 +29,7 @@ from concord.papers.liu2021.runs import (
     SequenceBatch,
     simulate,
 )
+from concord.papers.liu2021.solver import Costs, measure
 from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 
 CYCLES = 13
@@ -39,7 +45,7 @@ _RELATIVE = 1e-3
 def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
     """`sequences`: beside the paper's own."""
     batch = simulate(seed, sequences, CYCLES)
-    outcomes = _outcomes("estimators", batch)
+    outcomes = by_name("estimators", partial(_estimates, batch), ESTIMATORS)
     _write(folder, batch, outcomes)
     yield Section(3, "Figures", save_all(figures(batch, outcomes), folder, first=2))
     gains = gains_of_tables()
@@ -48,18 +54,13 @@ def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
     yield _guarantee(outcomes, flipped, wrong_rule)
     yield _traces(outcomes)
     long = simulate(seed, LONG_SEQUENCES, LONG_CYCLES)
-    yield _long_runs(long, _outcomes("estimators on long runs", long))
+    outcomes_of_long = by_name("estimators on long runs", partial(_estimates, long), ESTIMATORS)
+    yield _long_runs(long, outcomes_of_long)
     yield _comparisons(seed, min(sequences, COMPARED_SEQUENCES), batch, outcomes)
     yield _costs(measure(simulate(seed, 0, CYCLES)))
     evidence = gather(batch, outcomes["paper"], gains, flipped, wrong_rule)
     yield Section(1, "Claims", claims=claims(evidence))
     yield Section(2, "Errata", errata=errata(outcomes))
-
-
-def _outcomes(title: str, batch: SequenceBatch) -> dict[str, BoundedEstimates]:
-    names = list(ESTIMATORS)
-    found = side_by_side(title, partial(_estimates, batch), names)
-    return dict(zip(names, found, strict=True))
 
 
 def _estimates(batch: SequenceBatch, name: str) -> BoundedEstimates:
@@ -80,18 +81,24 @@ def _write(folder: Path, batch: SequenceBatch, outcomes: dict[str, BoundedEstima
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
         "state": (("sequence", "step", "x"), batch.states)
     }
+    kinds = {
+        "radius": ("radius", ()), "trace": ("trace", ()), "gap": ("gap", ()),
+        "centre": ("centre", ("x",)), "half_width": ("half_widths", ("x",)),
+    }  # fmt: skip
     for name, one in outcomes.items():
-        time = "instant" if len(one.steps) > CYCLES else "cycle"
-        name = name.replace("-", "_")
-        variables[f"{name}_radius"] = ((time, "sequence"), one.radius)
-        variables[f"{name}_trace"] = ((time, "sequence"), one.trace)
-        variables[f"{name}_gap"] = ((time, "sequence"), one.gap)
-        variables[f"{name}_centre"] = ((time, "sequence", "x"), one.centre)
-        variables[f"{name}_half_width"] = ((time, "sequence", "x"), one.half_widths)
+        axes = ("instant" if len(one.steps) > CYCLES else "cycle", "sequence")
+        for kind, (attribute, more) in kinds.items():
+            variable = f"{name.replace('-', '_')}_{kind}"
+            variables[variable] = ((*axes, *more), getattr(one, attribute))
     write_traces(folder, variables, {})
 
 
-# --- figures and tables --------------------------------------------------------------------------
+def _held(words: str, outcomes: dict[str, BoundedEstimates]) -> list[Check]:
+    """Every set of every estimator holds the truth."""
+    return [
+        at_most(f"{name}{words}: sets that do not hold the truth", int(one.violations.sum()), 0)
+        for name, one in outcomes.items()
+    ]
 
 
 _TABLES = """\
@@ -106,33 +113,28 @@ same reasons. Many entries below 0.0007 are printed as 0.0000.
 
 
 def _tables(gains: np.ndarray, batch: SequenceBatch) -> Section:
+    numerals = ("I", "II", "III")
     apart = [difference(ours, printed) for ours, printed in zip(gains, PUBLISHED, strict=True)]
     rows = [
         (f"Table {numeral}", f"{one.largest:.2g}", f"{one.relative:.2%}")
-        for numeral, one in zip(("I", "II", "III"), apart, strict=True)
+        for numeral, one in zip(numerals, apart, strict=True)
     ]
-    beside = "\n\n".join(
-        f"Table {numeral}, ours (printed):\n\n" + _beside(ours, printed)
-        for numeral, ours, printed in zip(("I", "II", "III"), gains, PUBLISHED, strict=True)
-    )
     winners = batch.received.winner[0, :3] + 3
     text = _TABLES.format(winners=", ".join(map(str, winners)))
-    head = ("table", "largest difference", "relative, Frobenius")
+    text += "\n" + markdown_table(("table", "largest difference", "relative, Frobenius"), rows)
+    for numeral, ours, printed in zip(numerals, gains, PUBLISHED, strict=True):
+        beside = [
+            (str(row), *(f"{a:.4f} ({b:.4f})" for a, b in zip(*pair, strict=True)))
+            for row, pair in enumerate(zip(ours, printed, strict=True), start=1)
+        ]
+        text += f"\n\nTable {numeral}, ours (printed):\n\n"
+        text += markdown_table(("row", "y1", "y2", "y3", "y4"), beside)
     checks = [
         at_most("Table I: largest difference", apart[0].largest, 6e-4),
         near("Table II: relative difference", apart[1].relative, 0.047, 0.005),
         at_most("Table III: largest difference", apart[2].largest, 2e-3),
     ]
-    text = text + "\n" + markdown_table(head, rows) + "\n\n" + beside
     return Section(4, "Tables I to III", text, checks, data={"gains": gains.tolist()})
-
-
-def _beside(ours: np.ndarray, printed: np.ndarray) -> str:
-    rows = [
-        (str(row + 1), *(f"{a:.4f} ({b:.4f})" for a, b in zip(*pair, strict=True)))
-        for row, pair in enumerate(zip(ours, printed, strict=True))
-    ]
-    return markdown_table(("row", "y1", "y2", "y3", "y4"), rows)
 
 
 # --- the guarantee -------------------------------------------------------------------------------
@@ -160,42 +162,31 @@ def _guarantee(
         count=some.radius.shape[1], families=", ".join(FAMILIES), cycles=CYCLES
     )
     head = ("estimator", "sets", "outside", "largest", "mean tr P", "sum of half-widths")
-    text += "\n" + markdown_table(head, [_row(name, one) for name, one in outcomes.items()])
-    head = ("mistake", "outside", "no set left", "of instants", "sequences touched", "of")
+    rows = []
+    for name, one in outcomes.items():
+        trace, ends = one.trace.mean(), one.half_widths[one.steps % G == 0]
+        size = "" if np.isnan(trace) else f"{trace:.2f}"
+        rows.append((*_counted(name, one), size, f"{ends.sum(-1).mean():.2f}"))
+    text += "\n" + markdown_table(head, rows) + "\n\n" + _MUTANTS + "\n"
     planted = {"sign of Xi flipped": flipped, "winners by Q y^2": wrong_rule}
-    text += (
-        "\n\n"
-        + _MUTANTS
-        + "\n"
-        + markdown_table(
-            head,
-            [
-                (name, *map(str, (m.outside, m.contradicted, m.instants, m.sequences, m.of)))
-                for name, m in planted.items()
-            ],
-        )
+    text += markdown_table(
+        ("mistake", "outside", "no set left", "of instants", "sequences touched", "of"),
+        [
+            (name, *map(str, (m.outside, m.contradicted, m.instants, m.sequences, m.of)))
+            for name, m in planted.items()
+        ],
     )
-    checks = [
-        at_most(f"{name}: sets that do not hold the truth", int(one.violations.sum()), 0)
-        for name, one in outcomes.items()
-    ]
+    checks = _held("", outcomes)
     checks += [above(f"{name}: violations", m.outside, 0) for name, m in planted.items()]
     data = {name: {"violations": int(one.violations.sum())} for name, one in outcomes.items()}
     data |= {name: m._asdict() for name, m in planted.items()}
     return Section(5, "The guarantee", text, checks, data=data)
 
 
-def _row(name: str, outcome: BoundedEstimates) -> tuple[str, ...]:
-    ends = outcome.steps % G == 0
-    trace = outcome.trace.mean()
-    return (
-        name,
-        str(outcome.radius.size),
-        str(int(outcome.violations.sum())),
-        f"{outcome.radius.max():.9f}",
-        "" if np.isnan(trace) else f"{trace:.2f}",
-        f"{outcome.half_widths[ends].sum(-1).mean():.2f}",
-    )
+def _counted(name: str, one: BoundedEstimates) -> tuple[str, ...]:
+    """Name, sets, sets that miss the truth, largest e' P^+ e."""
+    outside = int(one.violations.sum())
+    return name, str(one.radius.size), str(outside), f"{one.radius.max():.9f}"
 
 
 # --- sizes over time -----------------------------------------------------------------------------
@@ -204,16 +195,19 @@ def _row(name: str, outcome: BoundedEstimates) -> tuple[str, ...]:
 def _traces(outcomes: dict[str, BoundedEstimates]) -> Section:
     by_cycle_ = {name: outcomes[name].trace[:, 0] for name in ("paper", "fast", "tight")}
     by_cycle_["fast-rate, last step"] = outcomes["fast-rate"].trace[G - 1 :: G, 0]
-    rows = [(name, *(f"{value:.2f}" for value in values)) for name, values in by_cycle_.items()]
     widths = {
         name: one.half_widths[one.steps % G == 0][:, 0].sum(-1) for name, one in outcomes.items()
     }
-    text = "tr P after each cycle on the paper's noise (of three steps; fast-rate: of one):\n\n"
     head = ("estimator", *(str(cycle + 1) for cycle in range(CYCLES)))
-    text += markdown_table(head, rows)
-    text += "\n\nSum of the half-widths of the state at the end of each cycle:\n\n"
-    rows = [(name, *(f"{value:.2f}" for value in values)) for name, values in widths.items()]
-    text += markdown_table(head, rows)
+    of_traces, of_widths = (
+        markdown_table(head, [(name, *(f"{v:.2f}" for v in row)) for name, row in values.items()])
+        for values in (by_cycle_, widths)
+    )
+    text = (
+        "tr P after each cycle on the paper's noise (of three steps; fast-rate: of one):\n\n"
+        f"{of_traces}\n\nSum of the half-widths of the state at the end of each cycle:\n\n"
+        + of_widths
+    )
     ours = by_cycle_["paper"]
     checks = [
         near(f"tr P after cycle {k + 1}", value, expected, _RELATIVE * expected)
@@ -232,20 +226,13 @@ def _long_runs(batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]) -> S
         f"{largest:.1e}. The sets do not grow with it, until the rounding of so large a state, "
         "which they contain, shows in them."
     )
-    ends = {name: one.trace[-1].max() for name, one in outcomes.items()}
-    head = ("estimator", "sets", "outside", "largest", "tr P, last, largest")
-    rows = [
-        (
-            name, str(one.radius.size), str(int(one.violations.sum())), f"{one.radius.max():.9f}",
-            "" if np.isnan(ends[name]) else f"{ends[name]:.1f}",
-        )
-        for name, one in outcomes.items()
-    ]  # fmt: skip
-    checks = [
-        at_most(f"{name}, long runs: sets that do not hold the truth", int(one.violations.sum()), 0)
-        for name, one in outcomes.items()
-    ]
-    return Section(7, "Long unstable runs", text + "\n\n" + markdown_table(head, rows), checks)
+    rows = []
+    for name, one in outcomes.items():
+        end = one.trace[-1].max()
+        rows.append((*_counted(name, one), "" if np.isnan(end) else f"{end:.1f}"))
+    text += "\n\n"
+    text += markdown_table(("estimator", "sets", "outside", "largest", "tr P, last, largest"), rows)
+    return Section(7, "Long unstable runs", text, _held(", long runs", outcomes))
 
 
 # --- comparisons ---------------------------------------------------------------------------------

@@ -31,7 +31,6 @@ PLANT = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 BUS = bus_of_outputs(liu2021.OUTPUTS, liu2021.STATIC_OUTPUTS, liu2021.weights)
 N, G = liu2021.STATES, PLANT.length
 HELD = liu2021.OUTPUTS - liu2021.STATIC_OUTPUTS
-FAMILIES = ("uniform", "random ends", "square wave", "sinusoid")
 
 
 class SequenceBatch(NamedTuple):
@@ -97,20 +96,13 @@ def initial_and_noise(seed: int, sequences: int, steps: int) -> tuple[np.ndarray
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     noise = [liu2021.printed_noise(steps)]
     starts = [liu2021.INITIAL_STATE]
+    families = list(FAMILIES.values())
     for number in range(sequences):
-        noise.append(_NOISES[number % len(_NOISES)](rng, steps)[:, None])
+        noise.append(families[number % len(families)](rng, steps)[:, None])
         direction = rng.standard_normal(N)
         length = 1.0 if number % 2 else rng.uniform()
         starts.append(length * direction / np.linalg.norm(direction))
     return np.array(starts), np.array(noise)
-
-
-def _uniform(rng: np.random.Generator, steps: int) -> np.ndarray:
-    return rng.uniform(-1.0, 1.0, steps)
-
-
-def _ends(rng: np.random.Generator, steps: int) -> np.ndarray:
-    return rng.choice([-1.0, 1.0], steps)
 
 
 def _square(rng: np.random.Generator, steps: int) -> np.ndarray:
@@ -122,7 +114,12 @@ def _sinusoid(rng: np.random.Generator, steps: int) -> np.ndarray:
     return np.sin(rng.uniform(0.05, np.pi) * np.arange(steps) + rng.uniform(0.0, 2.0 * np.pi))
 
 
-_NOISES = (_uniform, _ends, _square, _sinusoid)
+FAMILIES: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
+    "uniform": lambda rng, steps: rng.uniform(-1.0, 1.0, steps),
+    "random ends": lambda rng, steps: rng.choice([-1.0, 1.0], steps),
+    "square wave": _square,
+    "sinusoid": _sinusoid,
+}
 
 
 # --- the estimators ------------------------------------------------------------------------------
@@ -139,22 +136,13 @@ def by_cycle(
     plant: MeasuredPlant = PLANT,
 ) -> BoundedEstimates:
     """The paper's estimator, exact or fast, on the augmented state; `see` may falsify a cycle."""
-    first = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N))
+    unit = np.broadcast_to(np.eye(N), (batch.sequences, N, N))
+    first = Ellipsoid(np.zeros((batch.sequences, N)), unit)
     found = histories.by_cycle(step, plant, batch.received, first, see)
     g = plant.length
     held = batch.received.values[:, :, plant.static_outputs :]
     truths = [np.hstack([batch.block(k, g), held[:, k]]) for k in range(batch.cycles)]
     return _of_ellipsoids(found, truths, last=slice((g - 1) * N, g * N), spacing=g)
-
-
-def paper(batch: SequenceBatch) -> BoundedEstimates:
-    """Corollary 1, exactly."""
-    return by_cycle(printed_step, batch)
-
-
-def fast(batch: SequenceBatch) -> BoundedEstimates:
-    """The closed form."""
-    return by_cycle(printed_fast_step, batch)
 
 
 def tight(batch: SequenceBatch, plant: MeasuredPlant = PLANT) -> BoundedEstimates:
@@ -193,16 +181,13 @@ def _history(batch: SequenceBatch, method: str, plant: MeasuredPlant) -> SetHist
 
 
 ESTIMATORS: dict[str, Callable[[SequenceBatch], BoundedEstimates]] = {
-    "paper": paper,
-    "fast": fast,
+    # Corollary 1, exactly, and in closed form.
+    "paper": partial(by_cycle, printed_step),
+    "fast": partial(by_cycle, printed_fast_step),
     "tight": tight,
     "fast-rate": fast_rate,
     "zonotope": zonotopes,
 }
-
-
-def _identity(lanes: int, size: int) -> np.ndarray:
-    return np.broadcast_to(np.eye(size), (lanes, size, size))
 
 
 def _of_ellipsoids(

@@ -1,5 +1,7 @@
 """One erratum at a time: the recommended filter with a single formula as printed, and the EKF."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from concord.features.measurement_bus import meng2025_plant as meng2025
@@ -82,12 +84,8 @@ def _at_mean(stochastic: SecondMoment, belief: Gaussian) -> np.ndarray:
 
 def _early(measured: int, moved: int) -> StochasticSystem:
     """The example, whose h is taken so many steps early and whose f so many late."""
-    return StochasticSystem(
-        lambda state, control, step: SYSTEM.transition(state, control, step + moved),
-        lambda state, step: SYSTEM.measure(state, step - measured),
-        SYSTEM.sizes,
-        SYSTEM.process_noise_cov,
-        SYSTEM.measurement_noise_cov,
-        SYSTEM.process,
-        SYSTEM.measurement,
+    return replace(
+        SYSTEM,
+        transition=lambda state, control, step: SYSTEM.transition(state, control, step + moved),
+        measure=lambda state, step: SYSTEM.measure(state, step - measured),
     )

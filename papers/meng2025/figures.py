@@ -36,13 +36,10 @@ def _states(
     axes.fill_between(steps, mean - half, mean + half, color=OURS, alpha=0.15, lw=0)
     for values, label, style in (
         (batch.truth[:, 0, state], "state", {"color": TRUE, "lw": 1.6, "zorder": 3}),
-        (
-            mean,
-            "estimate, recommended (± 2 sigma)",
-            {"color": OURS, "lw": 1.6, "ls": "--", "zorder": 4},
-        ),
+        (mean, "estimate, recommended (± 2 sigma)",
+         {"color": OURS, "lw": 1.6, "ls": "--", "zorder": 4}),
         (printed.mean[:, 0, state], "estimate, paper-literal", {"color": PRINTED, "lw": 1}),
-    ):
+    ):  # fmt: skip
         axes.plot(steps, values, label=label, **style)
     axes.set(xlabel="step s", ylabel=f"$x_{state + 1}$", xlim=(0, steps[-1]))
     axes.legend(frameon=False, loc="upper right")
@@ -56,17 +53,10 @@ def _errors(batch: MeasuredBatch, recommended: SlotEstimates, printed: SlotEstim
         (printed, PRINTED, "paper-literal"),
         (recommended, OURS, "recommended"),
     ):
-        axes.semilogy(
-            steps[1:], mse_by_step(batch, outcome)[1:], color=colour, lw=1.6, label=f"MSE, {name}"
-        )
-        axes.semilogy(
-            steps[1:],
-            trace_by_step(outcome)[1:],
-            color=colour,
-            lw=1.2,
-            ls=":",
-            label=f"tr P, {name}: the filter's estimate of it, no bound",
-        )
+        mse, trace = mse_by_step(batch, outcome), trace_by_step(outcome)
+        axes.semilogy(steps[1:], mse[1:], color=colour, lw=1.6, label=f"MSE, {name}")
+        label = f"tr P, {name}: the filter's estimate of it, no bound"
+        axes.semilogy(steps[1:], trace[1:], color=colour, lw=1.2, ls=":", label=label)
     running = running_mse(batch, recommended)
     axes.semilogy(
         steps[1:], running, color=TRUE, lw=1.0, ls="--",
@@ -86,13 +76,9 @@ def _access(outcome: SlotEstimates) -> Figure:
     ):
         slot, place = np.nonzero(sent[:, list(sensors)])
         axes.plot(slot + 1, place + sensors[0] + 1, "s", ms=4, color=colour, label=label)
-    axes.set(
-        xlabel="step s",
-        ylabel="sensor",
-        xlim=(0, len(sent) + 1),
-        ylim=(0.4, sent.shape[-1] + 0.6),
-        yticks=range(1, sent.shape[-1] + 1),
-    )
+    sensors = sent.shape[-1]
+    axes.set(xlabel="step s", ylabel="sensor", xlim=(0, len(sent) + 1))
+    axes.set(ylim=(0.4, sensors + 0.6), yticks=range(1, sensors + 1))
     axes.grid(axis="y", color="0.9", lw=0.6)
     axes.set_axisbelow(True)
     axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)

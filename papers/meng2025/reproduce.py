@@ -7,14 +7,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from concord.papers.kit.checks import Check, above, agrees, at_most, below
-from concord.papers.kit.figures import save_all
+from concord.papers.kit.figures import save_all, write_traces
+from concord.papers.kit.judging import Check, above, agrees, at_most, below
 from concord.papers.kit.report import Paper, Section, markdown_table
-from concord.papers.kit.side_by_side import side_by_side
-from concord.papers.kit.traces import write_traces
+from concord.papers.kit.side_by_side import by_name
 from concord.papers.meng2025.ablation import ablations
-from concord.papers.meng2025.claims import claims, gather
-from concord.papers.meng2025.errata import errata, order_of_slots
+from concord.papers.meng2025.claims import claims, errata, gather, order_of_slots
 from concord.papers.meng2025.figures import figures
 from concord.papers.meng2025.particles import PARTICLES, track
 from concord.papers.meng2025.posterior_bound import bound_of
@@ -43,9 +41,7 @@ def _carry_out(batch: MeasuredBatch, name: str) -> SlotEstimates:
 def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     batch = simulate(seed, runs, STEPS)
     compared = methods()
-    names = list(compared)
-    carried_out = side_by_side("methods", partial(_carry_out, batch), names)
-    outcomes = dict(zip(names, carried_out, strict=True))
+    outcomes = by_name("methods", partial(_carry_out, batch), compared)
     labels = {name: method.label for name, method in compared.items()}
     drawn = figures(batch, outcomes[REFERENCE], outcomes["paper-literal"])
     yield Section(3, "Figures", save_all(drawn, folder, first=2))
@@ -82,18 +78,14 @@ PAPER = Paper(
 
 def _write(folder: Path, batch: MeasuredBatch, outcomes: dict[str, SlotEstimates]) -> None:
     axes = ("step", "run", "state")
-    write_traces(
-        folder,
-        {
-            "truth": (axes, batch.truth),
-            "measurement": (("step", "run", "sensor"), batch.measurement),
-            "mean": (("estimator", *axes), np.stack([one.mean for one in outcomes.values()])),
-            "cov": (
-                ("estimator", *axes, "state_too"), np.stack([one.cov for one in outcomes.values()])
-            ),
-        },
-        {"estimator": list(outcomes)},
-    )  # fmt: skip
+    mean, cov = (np.stack([one[place] for one in outcomes.values()]) for place in (0, 1))
+    variables = {
+        "truth": (axes, batch.truth),
+        "measurement": (("step", "run", "sensor"), batch.measurement),
+        "mean": (("estimator", *axes), mean),
+        "cov": (("estimator", *axes, "state_too"), cov),
+    }
+    write_traces(folder, variables, {"estimator": list(outcomes)})
 
 
 # --- the comparison ------------------------------------------------------------------------------
@@ -172,30 +164,32 @@ def _ablation(batch: MeasuredBatch, reference: SlotEstimates, first: EstimatorRo
 def checks_of(runs: int, rows: dict[str, EstimatorRow]) -> list[Check]:
     """The figures of the independent implementation, in bands of the runs' own intervals."""
     ours, particles = rows[REFERENCE], rows["particles"]
-    known = {
-        f"{what} RMSE x{state + 1}": (one.rmse[state], value, _ROUNDING["RMSE"])
-        for what, one, values in (
-            ("recommended:", ours, RECOMMENDED_RMSE),
-            ("particle filter:", particles, PARTICLE_RMSE),
-        )
-        for state, value in enumerate(values)
-    }
     assert ours.anees is not None, "it reports a covariance"
-    known["recommended: ANEES"] = (ours.anees, RECOMMENDED_ANEES, _ROUNDING["ANEES"])
+    known = [
+        *_known("recommended", ours, RECOMMENDED_RMSE),
+        *_known("particle filter", particles, PARTICLE_RMSE),
+        ("recommended: ANEES", ours.anees, RECOMMENDED_ANEES, _ROUNDING["ANEES"]),
+    ]
     wtodp = rows["wtodp"].difference
     assert wtodp is not None, "the reference is the first row"
+    printed, nothing = rows["paper-literal"].mse.value, rows["prediction"].mse.value
     return [
         *(
             agrees(name, figure, runs, value, of_runs=_STUDY_RUNS, rounding=rounding)
-            for name, (figure, value, rounding) in known.items()
+            for name, figure, value, rounding in known
         ),
         at_most("recommended: share of runs that diverged", ours.diverged, 0.0),
-        above(
-            "paper-literal: MSE against that of prediction only",
-            rows["paper-literal"].mse.value,
-            rows["prediction"].mse.value,
-        ),
+        above("paper-literal: MSE against that of prediction only", printed, nothing),
         below("WTODP on 1..6 minus FlexRay, MSE, upper end of the interval", wtodp.high, 0.0),
+    ]
+
+
+def _known(
+    what: str, row: EstimatorRow, values: tuple[float, ...]
+) -> list[tuple[str, Interval, float, float]]:
+    return [
+        (f"{what}: RMSE x{state}", figure, value, _ROUNDING["RMSE"])
+        for state, (figure, value) in enumerate(zip(row.rmse, values, strict=True), start=1)
     ]
 
 

@@ -3,8 +3,9 @@
 Run r has the noise that `concord run --scenario meng2025 --seed SEED --run r` has.
 """
 
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,6 @@ from concord.features.measurement_bus.meng2025 import DEFINITION, SENSORS, SYSTE
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.features.measurement_bus.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
 from concord.filters.gaussian import Gaussian
-from concord.papers.kit.plant_runs import plant_runs
 from concord.papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
     PAPER_LITERAL_R,
@@ -37,6 +37,7 @@ from concord.papers.meng2025.filter_as_printed import (
     pseudo_inverse,
     update,
 )
+from concord.scenarios.streams import generator
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)
@@ -76,13 +77,19 @@ class ComparedMethod(NamedTuple):
 def methods() -> dict[str, ComparedMethod]:
     """Return the compared methods. The first one is the reference for the others."""
     bus = flexray(SENSORS, meng2025.STATIC_SLOTS)
+    # The system as a filter that ignores the stochastic nonlinearities assumes it.
+    deterministic = replace(
+        SYSTEM,
+        process=lambda _: StochasticNonlinearity(meng2025.STATES, meng2025.STATES),
+        measurement=lambda _: StochasticNonlinearity(SENSORS, meng2025.STATES),
+    )
     return {
         "recommended": ComparedMethod("FlexRay, recommended", bus),
         "paper-literal": ComparedMethod(
             "FlexRay, paper-literal (pseudo-inverse)", bus, PAPER_LITERAL
         ),
         "paper-literal-R": ComparedMethod("FlexRay, paper-literal-R", bus, PAPER_LITERAL_R),
-        "ignorant": ComparedMethod("FlexRay, g and b ignored", bus, system=deterministic()),
+        "ignorant": ComparedMethod("FlexRay, g and b ignored", bus, system=deterministic),
         "alpha": ComparedMethod("FlexRay, alpha = 0.1", bus, alpha=0.1),
         "all": ComparedMethod("all sensors, every step", all_at_once(SENSORS)),
         "wtodp": ComparedMethod("WTODP on 1..6", try_once_discard(SENSORS, EVERYBODY)),
@@ -92,25 +99,24 @@ def methods() -> dict[str, ComparedMethod]:
     }
 
 
-def deterministic() -> StochasticSystem:
-    """Return the system as a filter that ignores the stochastic nonlinearities assumes it."""
-    return StochasticSystem(
-        SYSTEM.transition,
-        SYSTEM.measure,
-        SYSTEM.sizes,
-        SYSTEM.process_noise_cov,
-        SYSTEM.measurement_noise_cov,
-        lambda _: StochasticNonlinearity(meng2025.STATES, meng2025.STATES),
-        lambda _: StochasticNonlinearity(SENSORS, meng2025.STATES),
-    )
-
-
 def simulate(seed: int, runs: int, steps: int) -> MeasuredBatch:
-    """Runs 0, 1, ... under a seed, for steps 0..steps."""
-    driven = plant_runs(DEFINITION.defaults.with_(seed=seed, steps=steps + 1), range(runs))
-    measurement = driven.readings[:, :, 1:, 0].copy()
+    """Runs 0, 1, ... under a seed, for steps 0..steps, with the noise that every driver gives."""
+    scenario = DEFINITION.defaults.with_(seed=seed, steps=steps + 1)
+    plant: Any = DEFINITION.plant(scenario)
+    draws = [
+        plant.draw(partial(generator, scenario.with_(run=run)), scenario.steps)
+        for run in range(runs)
+    ]
+    state, _, _ = plant.initial(np.stack([one.initial for one in draws]))
+    truth, readings = [], []
+    for step in range(scenario.steps):
+        truth.append(state)
+        sensing = np.stack([one.measurement[step] for one in draws])
+        readings.append(plant.observe(state, sensing, step)[..., 0, :])
+        state = plant.advance(state, None, np.stack([one.process[step] for one in draws]), step)
+    measurement = np.array(readings)[:, :, 1:, 0].copy()
     measurement[0] = np.nan
-    return MeasuredBatch(seed, driven.truth, measurement)
+    return MeasuredBatch(seed, np.array(truth), measurement)
 
 
 def transmit(batch: MeasuredBatch, schedule: Schedule) -> SlotOutcome:
@@ -123,20 +129,16 @@ def transmit(batch: MeasuredBatch, schedule: Schedule) -> SlotOutcome:
     )
 
 
-def prior_of(runs: int) -> Gaussian:
-    """The prior of every run."""
-    n = meng2025.STATES
-    return Gaussian(
-        np.broadcast_to(meng2025.PRIOR_MEAN, (runs, n)),
-        np.broadcast_to(meng2025.PRIOR_COV, (runs, n, n)),
-    )
-
-
 def carry_out(batch: MeasuredBatch, method: ComparedMethod) -> SlotEstimates:
     """One row of the comparison."""
     slots = transmit(batch, method.schedule)
     points = paper_points(method.alpha)
-    receiver = GaussianReceiver(method.system, method.filter, points, prior_of(batch.runs))
+    runs, n = batch.runs, meng2025.STATES
+    prior = Gaussian(
+        np.broadcast_to(meng2025.PRIOR_MEAN, (runs, n)),
+        np.broadcast_to(meng2025.PRIOR_COV, (runs, n, n)),
+    )
+    receiver = GaussianReceiver(method.system, method.filter, points, prior)
     beliefs = estimate(receiver, from_step_0(slots))
     return SlotEstimates(*beliefs, slots.sent)
 

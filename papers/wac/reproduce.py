@@ -8,27 +8,13 @@ Design".
 from collections.abc import Iterator
 from pathlib import Path
 
-from concord.papers.kit.figures import shown
+from concord.papers.kit.figures import shown, write_traces
 from concord.papers.kit.report import Paper, Section
-from concord.papers.kit.traces import write_traces
-from concord.papers.wac import (
-    bus,
-    exact,
-    exact_section,
-    figures,
-    loci,
-    loop_checks,
-    loops,
-    occupancy,
-    responses,
-    unstable,
-)
-from concord.papers.wac.claims import judge
-from concord.papers.wac.errata import ERRATA
-from concord.papers.wac.evidence import gather
+from concord.papers.wac import bus, exact, figures, loops, responses, unstable
+from concord.papers.wac.claims import ERRATA, gather, judge
 from concord.studies.progress import progress
 
-CLAIMS, LIST, FIGURES, LOOPS, EXACT, UNSTABLE, BUS = range(7)
+CLAIMS, LIST, FIGURES, LOOPS, UNSTABLE, BUS = range(6)
 MOTOR_SHARE = 2
 """A motor needs half as many runs as a target."""
 
@@ -38,36 +24,46 @@ def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     with progress("closed loops and root loci", 2) as done:
         measured = loops.measure()
         done(1)
-        locus = loci.draw(folder)
+        locus = figures.draw_loci(folder)
         done(2)
     yield Section(
         LOOPS,
         "Closed loops",
         "Digital, the control held over each sampling time, from the true state, without noise.",
-        loop_checks.checks_of(measured),
+        loops.checks_of(measured),
     )
     without_bound = unstable.measure()
     yield unstable.section(UNSTABLE, without_bound)
     trials = responses.measure(seed)
-    yield _figures(locus, figures.draw(trials, folder))
+    pictures = [locus, *figures.draw(trials, folder)]
+    text = [_NETWORK, *map(shown, _CAPTIONS, pictures)]
+    yield Section(FIGURES, "Figures", "\n\n".join(text), data={"files": pictures})
     _write(folder, trials)
-    without_chance = exact.measure()
-    yield exact_section.section(EXACT, without_chance)
-    claims = judge(gather(measured, without_chance, without_bound, trials))
+    claims = judge(gather(measured, exact.measure(), without_bound, trials))
     yield Section(CLAIMS, "Claims of the paper", claims=claims)
-    yield Section(LIST, "Errata", errata=list(ERRATA))
-    tracking = occupancy.track(seed, runs)
-    turning = occupancy.motor(seed, max(2, runs // MOTOR_SHARE))
-    yield bus.section(BUS, occupancy.measure(tracking, turning), tracking, turning)
+    yield Section(LIST, "Errata", errata=ERRATA)
+    tracking = bus.track(seed, runs)
+    turning = bus.motor(seed, max(2, runs // MOTOR_SHARE))
+    yield bus.section(BUS, bus.measure(tracking, turning), tracking, turning)
 
 
-PAPER = Paper(
-    "Weighted-average consensus (Widjiantoro et al.), reproduced",
-    seed=1,
-    runs=24,
-    least_runs=2,
-    because="runs of the limited bus, so that an interval can be made",
-    sections=_sections,
+_NETWORK = (
+    "The paper names neither network nor noise. Eight nodes on a ring run its rule (wac, three "
+    "rounds per step, Metropolis weights) with matched noise; the loop is closed through the "
+    "true state; x_u is the estimate of node 3, which has no sensor, y what node 0 measures."
+)
+_CAPTIONS = (
+    "Fig. 7: root loci. The paper prints no compensator; a gain of 1 is the tutorial's or this "
+    "project's.",
+    "Fig. 10: cruise control, pole -1.5, placed at exp(-1.5 t). Right: the nominal force of "
+    "the paper, without feedback.",
+    "Fig. 11: quarter-bus suspension over a road step, with the tutorial's gains. Below, each "
+    "state in units of its peak.",
+    "Fig. 12: pitch under the LQR with p = 50, and with the elevator held. Below, the angle of "
+    "attack, which nobody controls.",
+    "Fig. 13: speed of the motor, poles -5 ± i; references are this project's.",
+    "Fig. 14: position of the motor, poles -5 ± i and -15, as the printed poles are unstable "
+    "at this sampling time.",
 )
 
 
@@ -82,25 +78,11 @@ def _write(folder: Path, trials: dict[str, dict[str, responses.Trial]]) -> None:
     write_traces(folder, variables, {})
 
 
-def _figures(loci: str, pictures: list[str]) -> Section:
-    captions = (
-        "Fig. 7: root loci. The paper prints no compensator; a gain of 1 is the tutorial's or this "
-        "project's.",
-        "Fig. 10: cruise control, pole -1.5, placed at exp(-1.5 t). Right: the nominal force of "
-        "the paper, without feedback.",
-        "Fig. 11: quarter-bus suspension over a road step, with the tutorial's gains. Below, each "
-        "state in units of its peak.",
-        "Fig. 12: pitch under the LQR with p = 50, and with the elevator held. Below, the angle of "
-        "attack, which nobody controls.",
-        "Fig. 13: speed of the motor, poles -5 ± i; references are this project's.",
-        "Fig. 14: position of the motor, poles -5 ± i and -15, as the printed poles are unstable "
-        "at this sampling time.",
-    )
-    text = [
-        "The paper names neither network nor noise. Eight nodes on a ring run its rule (wac, three "
-        "rounds per step, Metropolis weights) with matched noise; the loop is closed through the "
-        "true state; x_u is the estimate of node 3, which has no sensor, y what node 0 measures."
-    ]
-    for name, caption in zip((loci, *pictures), captions, strict=True):
-        text.append(shown(caption, name))
-    return Section(FIGURES, "Figures", "\n\n".join(text), data={"files": [loci, *pictures]})
+PAPER = Paper(
+    "Weighted-average consensus (Widjiantoro et al.), reproduced",
+    seed=1,
+    runs=24,
+    least_runs=2,
+    because="runs of the limited bus, so that an interval can be made",
+    sections=_sections,
+)

@@ -76,14 +76,8 @@ class Loop(NamedTuple):
 
 def measure(seed: int) -> dict[str, dict[str, Trial]]:
     """All trials, by plant and by loop."""
-    plants = {
-        "cruise": (cruise.cruise(), _cruise_loops(), 50.0),
-        "bus": (suspension.suspension(road=suspension.ROAD_STEP), _bus_loops(), 5.0),
-        "pitch": (pitch.pitch(), _pitch_loops(), 7.0),
-        "speed": (motor.motor_speed(), _speed_loops(), 3.0),
-        "position": (motor.motor_position(), _position_loops(), 3.0),
-    }
     trials = {}
+    plants = _plants()
     with progress("responses", len(plants)) as done:
         for count, (name, (plant, loops, seconds)) in enumerate(plants.items(), start=1):
             steps = round(seconds / plant.time_step_s)
@@ -103,45 +97,40 @@ def _drive(gain: float, signal: Signal, states: int) -> StateFeedback:
     return StateFeedback(np.zeros((1, states)), np.array([[gain]]), signal)
 
 
-def _cruise_loops() -> dict[str, Loop]:
-    # The nominal 500 N of the paper are what 10 m/s need at rest.
-    nominal = _drive(cruise.DAMPING_N_S_PER_M, cruise.REFERENCE, 1)
-    return {
-        "closed loop": Loop(cruise.cruise_controller(), follows=True),
-        "open loop: 500 N, then 350 N": Loop(nominal, follows=True),
-    }
-
-
-def _bus_loops() -> dict[str, Loop]:
-    return {
-        "open loop": Loop(_drive(0.0, constant(0.0), 4), follows=False),
-        "closed loop": Loop(suspension.suspension_controller(), follows=True),
-    }
-
-
-def _pitch_loops() -> dict[str, Loop]:
+def _plants() -> dict[str, tuple[LinearPlant, dict[str, Loop], float]]:
+    """Plants by name with their loops, and the seconds that a figure shows."""
     designed = pitch.pitch_controller()
-    loops = {
+    pitched = {
         f"closed loop, to {level} rad": Loop(
             StateFeedback(designed.gain, designed.precompensation, constant(level)), follows=True
         )
         for level in (0.2, 0.5)
     }
-    return loops | {
-        "open loop: elevator at 0.2 rad": Loop(_drive(1.0, constant(0.2), 3), follows=False)
+    held = Loop(_drive(1.0, constant(0.2), 3), follows=False)
+    # The nominal 500 N of the paper are what 10 m/s need at rest.
+    nominal = _drive(cruise.DAMPING_N_S_PER_M, cruise.REFERENCE, 1)
+    volts = _drive(1 / float(motor.speed_transfer_function()(0)), STAIRS, 2)
+    cruised = {
+        "closed loop": Loop(cruise.cruise_controller(), follows=True),
+        "open loop: 500 N, then 350 N": Loop(nominal, follows=True),
     }
-
-
-def _speed_loops() -> dict[str, Loop]:
-    at_rest = motor.speed_transfer_function()(0)
-    return _motor_loops(motor.speed_dynamics(), motor.SPEED_POLES) | {
-        "open loop: 10.01 V per rad/s": Loop(_drive(1 / float(at_rest), STAIRS, 2), follows=True)
+    sprung = {
+        "open loop": Loop(_drive(0.0, constant(0.0), 4), follows=False),
+        "closed loop": Loop(suspension.suspension_controller(), follows=True),
     }
-
-
-def _position_loops() -> dict[str, Loop]:
-    return _motor_loops(motor.position_dynamics(), motor.POSITION_POLES) | {
-        "open loop: 5 V": Loop(_drive(1.0, constant(5.0), 3), follows=False)
+    turned = _motor_loops(motor.speed_dynamics(), motor.SPEED_POLES)
+    placed = _motor_loops(motor.position_dynamics(), motor.POSITION_POLES)
+    five_volt = Loop(_drive(1.0, constant(5.0), 3), follows=False)
+    return {
+        "cruise": (cruise.cruise(), cruised, 50.0),
+        "bus": (suspension.suspension(road=suspension.ROAD_STEP), sprung, 5.0),
+        "pitch": (pitch.pitch(), {**pitched, "open loop: elevator at 0.2 rad": held}, 7.0),
+        "speed": (
+            motor.motor_speed(),
+            {**turned, "open loop: 10.01 V per rad/s": Loop(volts, follows=True)},
+            3.0,
+        ),
+        "position": (motor.motor_position(), {**placed, "open loop: 5 V": five_volt}, 3.0),
     }
 
 

@@ -21,9 +21,10 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import cubature, scaled_unscented
 from concord.filters.update import Update
-from concord.papers.adlukf import adaptive_filters as adaptive
 from concord.papers.adlukf import dual_layer
+from concord.papers.adlukf import filters as adaptive
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from concord.papers.adlukf.filters import StepInput
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 R = np.diag([0.1, 0.005, 0.1]) ** 2
@@ -82,7 +83,7 @@ def learning(law):
 
 def dual_learning():
     def step(belief, noise, z, process):
-        update, noise = adaptive.dual_layer_step(belief, noise, z, f, h, process, RULE)
+        update, noise = adaptive.dual_layer_step(belief, noise, StepInput(f, h, z, process))
         return update, noise
 
     return Filter(lambda _, noise: sage_husa.begin(variances(noise)), step)
@@ -90,7 +91,9 @@ def dual_learning():
 
 def dual_printed(means):
     def step(belief, noise, z, process):
-        update, noise = adaptive.dual_layer_literal_step(belief, noise, z, f, h, RULE, means=means)
+        update, noise = adaptive.dual_layer_literal_step(
+            belief, noise, StepInput(f, h, z, process), means=means
+        )
         return update, noise
 
     return Filter(lambda p, noise: sage_husa_literal.begin(np.diag(p), variances(noise)), step)

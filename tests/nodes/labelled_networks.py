@@ -21,10 +21,10 @@ from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_codec import RecordCodec
 from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import SensorGroup
-from concord.papers.labelled import record_search
-from concord.papers.labelled.record_search import Held
 from concord.runtime.in_process import Link
+from tests.nodes import record_search
 from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, path, with_slots
+from tests.nodes.record_search import Held
 from tests.nodes.rule_networks import F, Q, noise_cov
 
 PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from concord.papers.kit.claims import Claim
+from concord.papers.kit.judging import Claim
 from concord.results.figures.intervals import Interval
 
 # Numbers that break a claim: each figure of the evidence takes each of them in turn.

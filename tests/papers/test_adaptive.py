@@ -11,10 +11,9 @@ from concord.features.vehicle.plant.parameters import BMW_320I
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import cubature, scaled_unscented
-from concord.papers.adlukf import adaptive_filters as adaptive
 from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from concord.papers.adlukf.filters import CONTESTANTS, StepInput
-from concord.papers.adlukf.small_angles import small_angles
+from concord.papers.adlukf.study import small_angles
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 STD = np.array([0.1, 0.005, 0.1])
@@ -50,23 +49,14 @@ def plain(rule, belief, noise, f, h, z):
 
 def of_contestant(name):
     def step(belief, noise, f, h, z):
-        return CONTESTANTS[name].step(belief, noise, StepInput(f, h, z, Q))
+        update, noise = CONTESTANTS[name].step(belief, noise, StepInput(f, h, z, Q))
+        return update.belief, noise
 
     step.__name__ = name
     return step
 
 
-learning, fuzzy = of_contestant("AUKF"), of_contestant("FAUKF")
-
-
-def dual(belief, noise, f, h, z):
-    update, noise = adaptive.dual_layer_step(belief, noise, z, f, h, Q, RULE)
-    return update.belief, noise
-
-
-def printed(belief, noise, f, h, z):
-    update, noise = adaptive.dual_layer_literal_step(belief, noise, z, f, h, RULE)
-    return update.belief, noise
+learning, fuzzy, dual, printed = map(of_contestant, ("AUKF", "FAUKF", "ADLUKF", "ADLUKF printed"))
 
 
 def run(step, belief, noise, first=1, last=STEPS):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from concord.papers.liu2021.comparisons import by_shape, by_slots, multipliers_apart
-from concord.papers.liu2021.runs import paper, simulate, tight
+from concord.papers.liu2021.runs import ESTIMATORS, simulate
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ def test_a_wider_bound_makes_wider_sets():
 
 def test_a_multiplier_for_each_sample_is_never_worse_in_the_first_cycle():
     batch = simulate(seed=5, sequences=6, cycles=4)
-    apart = multipliers_apart(batch, {"paper": paper(batch), "tight": tight(batch)})
+    apart = multipliers_apart(batch, {n: ESTIMATORS[n](batch) for n in ("paper", "tight")})
     together, each, cut = apart.values()
     # Equal multipliers are allowed, and the first cycle begins with the same ellipsoid.
     assert (each.trace[0] <= together.trace[0] * (1 + 1e-6)).all()

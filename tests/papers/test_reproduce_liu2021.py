@@ -8,11 +8,11 @@ import pytest
 
 from concord.experiments.__main__ import main
 from concord.papers.kit.report import check_runs
-from concord.papers.liu2021.claims import Liu2021Evidence, claims
+from concord.papers.liu2021.claims import claims
+from concord.papers.liu2021.comparisons import Mutant, mutant_of_rule, mutant_of_sign
 from concord.papers.liu2021.figures import blocks
-from concord.papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
 from concord.papers.liu2021.reproduce import PAPER
-from concord.papers.liu2021.runs import ESTIMATORS, paper, simulate, tight
+from concord.papers.liu2021.runs import ESTIMATORS, simulate
 from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 from tests.papers.support import every_claim_can_fail
 
@@ -45,12 +45,12 @@ def test_every_estimator_holds_every_sequence():
 
 def test_estimates_by_the_cycle_are_laid_out_step_by_step():
     batch = simulate(1, 0, 4)
-    for estimate in (paper, tight):
-        centre, width = blocks(estimate(batch))
+    for name in ("paper", "tight"):
+        centre, width = blocks(ESTIMATORS[name](batch))
         assert (np.abs(batch.states[0, 1:] - centre) <= width * (1 + 1e-9)).all()
 
 
-MEASURED = Liu2021Evidence(
+MEASURED = dict(
     outside=0, instants=2613, largest=0.98, flipped=Mutant(37, 270, 130, 2613, 201),
     wrong_rule=Mutant(23, 101, 45, 2613, 201), rank=4, size=14, apart=(5.7e-4, 0.35, 1.9e-3),
     relative=(3e-4, 0.047, 2.1e-3), winners=(4, 3, 3), tables_need=4, agreeing=1,

@@ -9,8 +9,21 @@ import pytest
 from concord.experiments.__main__ import main
 from concord.experiments.cli import reproduce
 from concord.experiments.cli.reproduce import carry_out
-from concord.papers.kit.checks import Check, above, agrees, at_most, below, near, refused
-from concord.papers.kit.claims import Claim, ClaimFinding, Erratum, Test, needs, verdict_of
+from concord.papers.kit.judging import (
+    Check,
+    Claim,
+    ClaimFinding,
+    Erratum,
+    Test,
+    above,
+    agrees,
+    at_most,
+    below,
+    near,
+    needs,
+    refused,
+    verdict_of,
+)
 from concord.papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
 from concord.results.figures.intervals import Interval, mean_t
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from concord.papers.adlukf import elsewhere
+from concord.papers.adlukf import drives
 from concord.papers.kit import side_by_side as module
 from concord.papers.kit.side_by_side import side_by_side
 from concord.papers.liu2021 import reproduce as liu2021
@@ -37,11 +37,11 @@ def of_meng2025() -> Any:
 
 
 def of_adlukf() -> Any:
-    return elsewhere.drive_elsewhere(1, 5)
+    return drives.drive_elsewhere(1, 5)
 
 
 def of_wac() -> Any:
-    return exact.measure({"cruise": exact.PLANTS["cruise"]})
+    return exact.measure({name: exact.PLANTS[name] for name in ("cruise", "speed")})
 
 
 @pytest.mark.slow
@@ -51,10 +51,9 @@ def test_results_do_not_depend_on_the_number_of_processes(
 ):
     if work is of_adlukf:
         pytest.importorskip("vehiclemodels", reason="the extra vehicle simulates the car")
-        monkeypatch.setattr(elsewhere, "ELSEWHERE", elsewhere.ELSEWHERE[:2])
+        monkeypatch.setattr(drives, "ELSEWHERE", drives.ELSEWHERE[:2])
     if work is of_wac:
         monkeypatch.setattr(exact, "STEPS", 10)
-        monkeypatch.setattr(exact, "SETTLED_STEPS", 10)
     found = []
     for workers in (1, 2):
         monkeypatch.setattr(module, "workers_here", lambda _, workers=workers: workers)

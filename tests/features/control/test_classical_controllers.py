@@ -24,7 +24,7 @@ from concord.features.control.transfer_functions import (
     sampled_compensator,
     series,
 )
-from concord.papers.wac.root_loci import figure_7
+from concord.papers.wac.loops import figure_7
 
 TIME_STEP_S = 0.01
 

@@ -215,7 +215,6 @@ def test_import_of_the_plants_is_light():
     code = (
         "import sys; "
         "from concord.features.control import closed_loop, cruise, motor, pitch, suspension; "
-        "import concord.papers.wac.root_loci; "
         "print([name for name in ('scipy', 'control', 'matplotlib') if name in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

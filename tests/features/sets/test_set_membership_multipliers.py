@@ -123,7 +123,7 @@ def test_two_balls_give_the_sum_of_two_ellipsoids(seed: int):
 def test_against_a_semidefinite_solver():
     pytest.importorskip("cvxpy")
     pytest.importorskip("clarabel")
-    from concord.papers.liu2021.semidefinite import matrix_inequality
+    from concord.papers.liu2021.solver import matrix_inequality
 
     rng = np.random.default_rng(0)
     for _ in range(8):

@@ -19,7 +19,7 @@ from concord.features.sets.filters.lifted_cycle import AugmentedCycle
 from concord.features.sets.filters.multipliers import smallest_bound
 from concord.features.sets.filters.recursive_estimator import optimal_step, problem
 from concord.filters.linalg import multiply
-from concord.papers.liu2021.mutants import by_value as bus_by_value
+from concord.papers.liu2021.comparisons import by_value as bus_by_value
 from concord.papers.liu2021.runs import BUS
 from tests.features.sets.bounded_systems import (
     Sizes,

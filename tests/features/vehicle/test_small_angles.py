@@ -5,7 +5,7 @@ import pytest
 
 from concord.features.vehicle.plant.model import linear_tyre
 from concord.features.vehicle.plant.parameters import BMW_320I
-from concord.papers.adlukf.small_angles import small_angles
+from concord.papers.adlukf.study import small_angles
 
 CAR = BMW_320I
 MODEL = small_angles(CAR, linear_tyre, 0.01)

@@ -13,7 +13,7 @@ from concord.features.vehicle.plant.model import (
     tanh_tyre,
 )
 from concord.features.vehicle.plant.parameters import BMW_320I
-from concord.papers.adlukf.small_angles import small_angles
+from concord.papers.adlukf.study import small_angles
 
 CAR = BMW_320I
 MODEL = single_track(CAR, linear_tyre, 0.01, np.eye(3))

@@ -1,11 +1,10 @@
 """Run the rule `labelled` under faults, on the network of TRACK.
 
-The faults are links that lose frames, a dead hub, a cut, a long path, and wrong readings.
+The faults are links that lose frames, a dead hub, a long path, and wrong readings.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.nodes.faults.losses import Outage
-from concord.nodes.lanes.links import links_of
 from concord.nodes.messages import Measured
 from concord.nodes.node import NodeConfig
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
@@ -32,7 +30,6 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 
 HUB, HUB_DEAD = 13, range(40, 70)
-CUT = range(50, 70)
 # Standard deviations of a restarted node's prior: so wide that it carries no information.
 _LOST_DEVIATIONS = np.array([300.0, 15.0, 300.0, 15.0, 0.02])
 # How far a wrong reading is off, in standard deviations of the noise, to either side.
@@ -42,13 +39,12 @@ _OUTLIER_DEVIATIONS = 10.0
 class FaultCase(NamedTuple):
     """Faults of one case.
 
-    The `options` say how many frames the links lose. The hub may die, a cut may divide the network
-    in two, and a fraction of the readings may be wrong.
+    The `options` say how many frames the links lose. The hub may die, and a fraction of the
+    readings may be wrong.
     """
 
     options: dict[str, Any]
     hub_dies: bool = False
-    cut: bool = False
     outliers: float = 0.0
 
 
@@ -57,14 +53,13 @@ class CaseOutcome(NamedTuple):
 
     Squared errors (steps, N) and NEES over dimension (steps, N) are NaN while a node knows nothing.
     The squared errors of the centralised filter are (steps,); it hears each reading that is not
-    wrong. Bytes are those sent per step. Two pairs count the wrong readings and the others: how
+    wrong. Two pairs count the wrong readings and the others: how
     many there were, and how many of them the nodes refused.
     """
 
     squared: np.ndarray
     consistency: np.ndarray
     squared_centralised: np.ndarray
-    said_bytes: float
     wrong: int
     wrong_refused: int
     right: int
@@ -85,7 +80,7 @@ def runs_of_case(case: FaultCase, runs: int, seed: int = 1) -> list[CaseOutcome]
 class Course(NamedTuple):
     """Course of one run: truth (steps, n), readings (steps, N, r, d), beliefs (steps, N, n).
 
-    `kept` and `wrong` (steps, N) mark readings. The bytes sent are (steps,).
+    `kept` and `wrong` (steps, N) mark readings.
     """
 
     truth: np.ndarray
@@ -93,7 +88,6 @@ class Course(NamedTuple):
     belief: Gaussian
     kept: np.ndarray
     wrong: np.ndarray
-    body_bytes: np.ndarray
 
 
 def outcome(setup: Setup, course: Course) -> CaseOutcome:
@@ -110,7 +104,6 @@ def outcome(setup: Setup, course: Course) -> CaseOutcome:
         (errors[..., place] ** 2).sum(-1),
         nees(errors[..., scored], course.belief.cov) / len(scored),
         ((central.mean - course.truth)[:, place] ** 2).sum(-1),
-        float(course.body_bytes.mean()),
         int((wrong & taken).sum()),
         int((wrong & refused).sum()),
         int((~wrong & taken).sum()),
@@ -123,29 +116,20 @@ def _at_once(case: FaultCase, setup: Setup, runs: int) -> list[CaseOutcome]:
     network = build_network(setup, range(runs))
     measurement, wrong = _spoiled(network.measurement, case.outliers, own)
     network = replace(network, measurement=measurement)
-    if case.cut:
-        (segment,) = network.segments
-        network = replace(
-            network, segments=(segment._replace(lost=partial(_lost_in_cut, setup, runs)),)
-        )
     instants = list(batched.run(network))
     truth, readings, mean, cov = (
         np.stack(values, axis=1)
         for values in zip(*((i.truth, i.readings, *i.belief) for i in instants), strict=True)
     )
-    kept, said = (
-        np.stack(some, axis=1) for some in zip(*map(_kept_and_said, instants), strict=True)
-    )
-    courses = zip(truth, readings, map(Gaussian, mean, cov), kept, wrong, said, strict=True)
+    kept = np.stack([_kept(instant) for instant in instants], axis=1)
+    courses = zip(truth, readings, map(Gaussian, mean, cov), kept, wrong, strict=True)
     return [outcome(one, Course(*course)) for one, course in zip(own, courses, strict=True)]
 
 
-def _kept_and_said(instant: batched.Instant) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes that recorded their reading (R, N), and the bytes sent in a step (R,)."""
-    spread = instant.spread
-    assert spread is not None, "the rule is labelled"
-    recorded = np.diagonal(spread.held[:, :, -1], axis1=1, axis2=2)
-    return recorded, spread.body_bytes.sum(axis=(0, 2))
+def _kept(instant: batched.Instant) -> np.ndarray:
+    """Return the nodes that recorded their reading (R, N)."""
+    assert instant.spread is not None, "the rule is labelled"
+    return np.diagonal(instant.spread.held[:, :, -1], axis1=1, axis2=2)
 
 
 def _with_dead_hub(setup: Setup, run: int) -> Course:
@@ -155,32 +139,11 @@ def _with_dead_hub(setup: Setup, run: int) -> Course:
     recorder = MemoryRecorder()
     in_process.run(build_environment(setup), nodes, recorder)
     trace = read_trace(setup, recorder.messages)
-    assert trace.spread is not None
     kept = np.zeros(trace.readings.shape[:2], dtype=bool)
     kept[tuple(np.array(sorted(recorded)).T)] = True
     belief = Gaussian(trace.mean, trace.cov)
     wrong = np.zeros_like(kept)
-    return Course(trace.truth, trace.readings, belief, kept, wrong, trace.spread.body_bytes)
-
-
-def halves(setup: Setup) -> np.ndarray:
-    """Two parts (N,) of the network that each hang together: the eight nodes nearest by hops to the
-    first node with which that is so, and the rest."""
-    everybody = set(range(len(setup.neighbours)))
-    for root in sorted(everybody):
-        near = set(_reached(setup, root, everybody)[:8])
-        rest = everybody - near
-        if len(_reached(setup, min(rest), rest)) == len(rest):
-            return np.isin(sorted(everybody), sorted(near))
-    raise ValueError("no eight nodes leave the others connected; use another graph")
-
-
-def _reached(setup: Setup, root: int, allowed: set[int]) -> list[int]:
-    """The allowed nodes that can be reached through allowed ones, the nearest first."""
-    found = [root]
-    for node in found:
-        found += [j for j in setup.neighbours[node] if j in allowed and j not in found]
-    return found
+    return Course(trace.truth, trace.readings, belief, kept, wrong)
 
 
 def _node(setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig:
@@ -196,15 +159,6 @@ def _node(setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig
     ]
     links = link_state(setup)._replace(outages=tuple(outages))
     return replace(config, estimator=estimator, links=links)
-
-
-def _lost_in_cut(setup: Setup, runs: int, step: int, cycle: int) -> np.ndarray:
-    """How many frames each link loses in a cycle (R, E): those between the halves, all."""
-    links = links_of(setup.neighbours, perfect=False)
-    side = halves(setup)
-    across = side[links.sender] != side[links.receiver]
-    cut = across & (step in CUT)
-    return np.broadcast_to(cut.astype(np.int64), (runs, len(cut)))
 
 
 def _spoiled(

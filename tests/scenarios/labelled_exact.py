@@ -9,7 +9,6 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.nodes.faults.losses import LinkState, hears
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
-from concord.papers.labelled.record_search import Held, reachable, winners_of
 from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.drivers import in_memory
@@ -20,6 +19,7 @@ from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
+from tests.nodes.record_search import Held, reachable, winners_of
 
 # Every record is everywhere before its step is over.
 FULL_INFORMATION: tuple[dict[str, Any], ...] = (
@@ -39,13 +39,11 @@ class Audit(NamedTuple):
     """A random network, step by step and node by node.
 
     Attributes:
-        what: the network in words.
         pairs: how many (node, step, record) could be in use. missing: of these, not in use.
         deviation: of each node's last estimate from the filter that is given exactly the records
             in use, each once; relative to the state's scale.
     """
 
-    what: str
     pairs: int
     missing: int
     impossible: int
@@ -100,7 +98,7 @@ def audit(number: int) -> Audit:
             pairs += len(might)
             missing += len(might - has)
             impossible += len(has - might)
-    return Audit(_words(options, links), pairs, missing, impossible, _counted_once(options, links))
+    return Audit(pairs, missing, impossible, _counted_once(options, links))
 
 
 def _counted_once(options: dict[str, Any], links: LinkState) -> float:
@@ -190,14 +188,4 @@ def _random_network(number: int) -> tuple[dict[str, Any], LinkState]:
         link_up=None
         if there.all()
         else lambda step, sender, receiver: there[step, sender, receiver],
-    )
-
-
-def _words(options: dict[str, Any], links: LinkState) -> str:
-    relay = "relay" if options["relay"] else "simultaneous"
-    changing = ", changing graph" if links.link_up is not None else ""
-    return (
-        f"{options['scenario']}, {options['nodes']} nodes, {options['graph']}{changing}, "
-        f"{options['schedule']} {options['occupancy']:g}, {relay}, {options['rounds']} rounds, "
-        f"window {options['window_steps']}, loss {links.loss:g}"
     )
