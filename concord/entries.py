@@ -25,7 +25,7 @@ KINDS = {
     "CLUSTER_FILES": "a ClusterFileFormat, by the ending of its files",
     "GRAPHS": "a function of a path and a number of nodes, by the word before the colon",
     "ARBITERS": "an Arbiter",
-    "FIGURES": "a Figure, or figures, of a run",
+    "FIGURES": "by name, (dimensions, unit, meaning) of figures of runs",
     "CHARTS": "a chart of the page",
     "COMMANDS": "a function of the command line, or a table of them (a group)",
     "CHECKS": "a function () -> findings of `concord doctor`",

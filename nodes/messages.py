@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from concord.features.several_targets.tracking.tracks import REPORT_COLUMNS
 from concord.nodes.bounds import (
     MAX_MESSAGE_BYTES,
     MAX_ROUNDS,
@@ -30,6 +29,8 @@ from concord.nodes.changes import Change, Event, Gone, Set, Welcome
 
 # Recorder to all: all messages are kept, and every process may leave.
 END = b"{}"
+TRACK_NUMBERS = 12
+"""Numbers of a reported track."""
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -114,13 +115,14 @@ class Truth(msgspec.Struct, frozen=True):
 
 
 class ReportedTracks(msgspec.Struct, frozen=True):
-    """The tracks of a node that stand for targets, each a row of twelve numbers (`TrackReport`).
+    """The tracks of a node that stand for targets, each a row of twelve numbers.
 
-    `records` is a digest of all records that the node has used, "" under rules without, and `bits`
-    one of all numbers of all its tracks.
+    A row has identity (3), existence, mean (4) and standard deviations (4). `records` is a digest
+    of all records that the node has used, "" under rules without, and `bits` one of all numbers of
+    all its tracks.
     """
 
-    rows: list[Annotated[list[float], Meta(min_length=REPORT_COLUMNS, max_length=REPORT_COLUMNS)]]
+    rows: list[Annotated[list[float], Meta(min_length=TRACK_NUMBERS, max_length=TRACK_NUMBERS)]]
     records: str
     bits: str
 

@@ -10,8 +10,6 @@ import msgspec
 import numpy as np
 
 from concord._version import __version__
-from concord.features.several_targets.track_log import CUTOFF_M
-from concord.features.several_targets.track_variables import track_variables
 from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
 from concord.results.bus.bus_report import times_of
@@ -21,6 +19,7 @@ from concord.results.innovations.of_run import (
     run_innovations,
 )
 from concord.results.places import new_name
+from concord.results.records.extras import run_extras
 from concord.results.records.netcdf_file import write_dataset
 from concord.results.records.record_spread import record_ages
 from concord.results.records.trace import Past, Trace
@@ -196,10 +195,8 @@ def write_arrays(
     if trace.spread is not None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
-    if trace.tracks is not None:
-        variables |= track_variables(setup, trace.tracks, trace.readings)
-        gospa = trace.tracks.distances()
-        variables["gospa"] = (("step", "node"), gospa, {"units": "m", "cutoff": CUTOFF_M})
+    if (extras := run_extras(setup.scenario)) is not None:
+        variables |= extras.variables(setup, trace.extra, trace.readings)
     if trace.estimate_age_s is not None:
         limit = {} if description.tempo is None else {"limit": description.tempo.oldest_s}
         said = {"units": "s", "origin": "sampling instant of the step", **limit}

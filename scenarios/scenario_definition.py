@@ -127,6 +127,8 @@ class ScenarioDefinition(NamedTuple):
             filter a window; empty where all deliver at once.
         outside: (scenario, states (..., n)) -> for which states (...) the model does not hold, by
             the reason; None for a model that always does.
+        results, page: "module:MEMBER" of what results (`RunExtras`) and the page (`OwnPage`) know
+            of this scenario alone; "" for nothing. No node loads them.
     """
 
     defaults: Scenario
@@ -148,6 +150,8 @@ class ScenarioDefinition(NamedTuple):
     without_data: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     late_steps: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
+    results: str = ""
+    page: str = ""
 
     def wiring(self, scenario: Scenario) -> NetworkWiring | None:
         """The wiring of the scenario's rule; None where every node filters and fuses.

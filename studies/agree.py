@@ -96,8 +96,8 @@ def _quantities(trace: Trace) -> dict[str, np.ndarray]:
     past = (
         {} if trace.past is None else {"smoothed": trace.past.mean, "smoothed std": trace.past.std}
     )
-    tracks = {} if trace.tracks is None else {"tracks": trace.tracks.digest_numbers()}
-    return {name: getattr(trace, name) for name in _COMPARED} | suspect | past | tracks
+    extra = {} if trace.extra is None else {"tracks": trace.extra.digest_numbers()}
+    return {name: getattr(trace, name) for name in _COMPARED} | suspect | past | extra
 
 
 def near_differences(setup: Setup, reference: Trace) -> list[DriverDifference]:

@@ -2,12 +2,12 @@
 
 from math import isnan
 
-import msgspec
 import numpy as np
 
 from concord.filters.metrics import rmse
 from concord.results.bus.bus_report import wire_per_step
 from concord.results.bus.sent_shares import SentShares
+from concord.results.figures.summary import LabelledFigures
 from concord.results.records.trace import Trace
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
@@ -23,17 +23,6 @@ from concord.scenarios.types.schedules import DynamicSchedule, PartialSchedule
 _MOST_LANE_STEPS = 4_000
 _LEAST_SCORED_STEPS = 20
 _OCCUPANCY = 0.25
-
-
-class LabelledFigures(msgspec.Struct, frozen=True):
-    """Figures of a run under rule `labelled` in place of its own.
-
-    `options` are those that choose it; `wire_bytes_per_step` is None on a bus without time.
-    """
-
-    options: str
-    rmse: float
-    wire_bytes_per_step: float | None
 
 
 def labelled_beside(setup: Setup, trace: Trace, first_step: int) -> LabelledFigures | None:
@@ -58,17 +47,6 @@ def labelled_beside(setup: Setup, trace: Trace, first_step: int) -> LabelledFigu
     except (ValueError, ArithmeticError):
         # The sentence of a refusal would answer a question that the user has not asked.
         return None
-
-
-def in_words(beside: LabelledFigures, centralised: float, wire_bytes: float | None) -> str:
-    """The sentence under the verdict on a run whose frames have so many bytes in a step."""
-    would = f"labelled measurements would give {beside.rmse / centralised:.3g} x"
-    if wire_bytes is None or beside.wire_bytes_per_step is None:
-        return f"{would}: {beside.options}"
-    return (
-        f"on the bus: {wire_bytes:.0f} bytes a step; {would} at "
-        f"{beside.wire_bytes_per_step:.0f} bytes: {beside.options}"
-    )
 
 
 def _labelled(scenario: Scenario) -> tuple[Scenario, str]:

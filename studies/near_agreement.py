@@ -50,8 +50,8 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "cov": (trace.cov, histories.cov[0], scale_of_cov(setup, trace.mean, sd)),
         "ages": (trace.ages[:, *setup.links], histories.ages[0], _exact),
     }
-    if trace.tracks is not None and histories.tracks:
-        both = (one.digest_numbers() for one in (trace.tracks, histories.tracks[0]))
+    if trace.extra is not None and histories.extras:
+        both = (one.digest_numbers() for one in (trace.extra, histories.extras[0]))
         compared["tracks"] = (*both, _exact)
     if trace.suspect is not None and histories.suspect is not None:
         compared["suspect"] = (trace.suspect, histories.suspect[0], _exact)

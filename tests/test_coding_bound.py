@@ -15,9 +15,10 @@ import pytest
 
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import neighbourhoods
+from concord.results.records.histories import RunCost
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
-from concord.studies.monte_carlo.many_figures import ManyFigures, RunCost, summarise
+from concord.studies.monte_carlo.many_figures import ManyFigures, summarise
 from concord.studies.monte_carlo.simulate import simulate
 
 pytestmark = pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from html import escape
 
-from concord.dashboard.explain.tooltips import CHARTS
+from concord.dashboard.explain.tooltips import chart_meanings
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.verdict import STEPS
 from concord.dashboard.scene.legend import meanings
@@ -53,7 +53,8 @@ def help_panel(view: View, frame: StepFrame) -> str:
         f'<div data-testid="help" style="font-size:11.5px;line-height:1.45;padding:4px 10px;'
         f'color:{css(theme.text)}">{_heading(theme, "In the scene")}{marks}'
         f"{_words(theme, f'Verdict on the last {STEPS} steps', _VERDICTS)}"
-        f"{_words(theme, 'Table of nodes', HEADINGS)}{_words(theme, 'Charts', CHARTS)}"
+        f"{_words(theme, 'Table of nodes', HEADINGS)}"
+        f"{_words(theme, 'Charts', chart_meanings(frame.stage))}"
         f"{_words(theme, 'Changes of a running network, in the scene', _GESTURES)}"
         f"{_words(theme, 'Keys', _KEYS)}</div>"
     )

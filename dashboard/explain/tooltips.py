@@ -9,6 +9,8 @@ pinned, and a browser test fails if that changes.
 import json
 from html import escape
 
+from concord.dashboard.frames.stage import Stage
+
 HEADINGS = {
     "Charts": "the scores of the network over time",
     "One state": "one state of the selected node over time; choose it under View",
@@ -35,12 +37,9 @@ CHARTS = {
     "NEES": "normalised estimation error squared; consistent nodes stay between the dashed lines",
     "NIS": "normalised innovation squared over its degrees of freedom: 1 is right, and the dashed "
     "line holds 95 % of the steps; it needs no truth",
-    "GOSPA": "error of the tracks of several targets, with the missed and the false ones; the "
-    "cutoff is 50 m",
-    "Missed": "true targets without a track, and tracks without a target",
     "Payload": "bytes of shares on the bus",
 }
-"""First words of the titles of charts, with the meaning of the chart."""
+"""First words of the titles of charts, with the meaning of the chart; see `chart_meanings`."""
 
 # A press on a number is heard before the panel that holds it is drawn again.
 _SCRIPT = (
@@ -57,7 +56,13 @@ _SCRIPT = (
 )
 
 
-def tooltips() -> str:
+def chart_meanings(stage: Stage) -> dict[str, str]:
+    """Return `CHARTS`, with those of the scenario's own charts."""
+    return CHARTS if stage.own is None else {**CHARTS, **stage.own.meanings}
+
+
+def tooltips(stage: Stage) -> str:
     """Return the script as HTML; an image without a source fails, and runs it, at once."""
-    script = _SCRIPT % tuple(json.dumps(words, ensure_ascii=False) for words in (HEADINGS, CHARTS))
+    words = HEADINGS, chart_meanings(stage)
+    script = _SCRIPT % tuple(json.dumps(one, ensure_ascii=False) for one in words)
     return f'<img src="data:," alt="" style="display:none" onerror="{escape(script)}">'

@@ -4,6 +4,8 @@ The order of messages within a step does not matter, and steps may be left out: 
 totals or in ages is true all the same.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,10 +13,9 @@ from concord.dashboard.frames.bus_cycles import BusView, judged
 from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame, StepScores
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, after_all, read_change
 from concord.dashboard.frames.reading_filters import ReadingFilters
-from concord.dashboard.frames.scores import fuse, score, with_tracks
+from concord.dashboard.frames.scores import fuse, score, with_errors
 from concord.dashboard.frames.stage import Stage, restaged
 from concord.dashboard.frames.told import StepContent, read_step
-from concord.features.several_targets.frames import StepTracks, TracksTold
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
@@ -39,7 +40,7 @@ class Assembler:
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         self.filters = ReadingFilters(stage)
         self.filters.follow(self._network)
-        self._tracks = TracksTold(stage.setup)
+        self._own = None if stage.own is None else stage.own.begin(stage.setup)
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
@@ -116,8 +117,10 @@ class Assembler:
             self._last_sent[senders] = cycle.cycle
         self._take_estimates(number, told)
         central, nis = self.filters.add(number, told, self._belief, self._alive)
-        tracks, changes = self._tracks.add(state, told.estimates)
-        self._events += [LogEntry(number, words) for words in changes]
+        extra = None
+        if self._own is not None:
+            extra, changes = self._own.add(state, told.estimates)
+            self._events += [LogEntry(number, words) for words in changes]
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
         ages = self._ages.copy()
@@ -139,9 +142,9 @@ class Assembler:
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=judged(cycles, stage.heard, ages, alive, events),
-            scores=self._scores(truth, alive, (fused, central), tracks)._replace(nis=nis),
+            scores=self._scores(truth, alive, (fused, central), extra)._replace(nis=nis),
             events=events,
-            tracks=tracks,
+            extra=extra,
         )
 
     def _scores(
@@ -149,11 +152,11 @@ class Assembler:
         truth: np.ndarray,
         alive: np.ndarray,
         together: tuple[Gaussian, Gaussian | None],
-        tracks: StepTracks | None,
+        extra: Any,
     ) -> StepScores:
-        """Return the scores of a step; the errors of tracks where there are some."""
-        found = score(self._stage, truth, self._belief, alive, *together)
-        return found if tracks is None else with_tracks(found, alive, tracks)
+        """Return the scores of a step; the errors are those of its own page where it has one."""
+        found, own = score(self._stage, truth, self._belief, alive, *together), self._stage.own
+        return found if own is None else with_errors(found, own.errors(extra)[alive])
 
     def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()

@@ -1,6 +1,6 @@
 """Frame of the dashboard: the network after one step, as one value."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from concord.bus.bus import Bus, Transmission
 from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.frames.stage import Stage
-from concord.features.several_targets.frames import StepTracks
 from concord.filters.gaussian import Gaussian
 
 
@@ -85,7 +84,7 @@ class StepFrame(NamedTuple):
         holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. weights: (H,), of
         what it holds, in its last round, NaN where no node told one. lost: (H,), whose newest share
         did not arrive. cut: (E,), links that are cut. rejection: per node, why it last rejected a
-        frame. tracks: those of several targets, where the scenario has several.
+        frame. extra: what nodes told beside their beliefs, of stages with an `OwnPage`.
     """
 
     stage: Stage
@@ -106,4 +105,4 @@ class StepFrame(NamedTuple):
     cycles: tuple[BusCycle, ...]
     scores: StepScores
     events: tuple[LogEntry, ...]
-    tracks: StepTracks | None = None
+    extra: Any = None

@@ -4,7 +4,6 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepScores
 from concord.dashboard.frames.stage import Stage
-from concord.features.several_targets.frames import StepTracks
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import inverse_spd, multiply
 from concord.scenarios.catalogue import scored_nees
@@ -58,14 +57,14 @@ def score(
     )
 
 
-def with_tracks(scores: StepScores, alive: np.ndarray, tracks: StepTracks) -> StepScores:
-    """The scores of a step with GOSPA as the error of the network.
+def with_errors(scores: StepScores, errors: np.ndarray) -> StepScores:
+    """The scores of a step whose error of the network is of these errors of its nodes (K,).
 
-    The errors of nodes stay those of the number of targets. The centralised filter of the page and
-    the fused belief tell that number alone.
+    The errors of nodes stay those of their beliefs, and so would those of the centralised filter of
+    the page and of the fused belief.
     """
-    gospa_m = _root_mean_square(tracks.gospa_m[alive])
-    return scores._replace(rmse=gospa_m, central=float("nan"), fused=float("nan"))
+    rmse = _root_mean_square(errors)
+    return scores._replace(rmse=rmse, central=float("nan"), fused=float("nan"))
 
 
 def _spread(means: np.ndarray) -> float:

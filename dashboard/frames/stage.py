@@ -1,20 +1,21 @@
 """Fixed part of a network's picture: everything that its setup determines before the run.
 
-One target or several are drawn where they are in the plane, a car on its track. Any other network
-is laid out by its graph, because its nodes have no place in space.
+A target is drawn where it is in the plane, a car on its track, and the plant of a scenario with an
+`OwnPage` by that. Any other network is laid out by its graph, because its nodes have no place.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.bus import Bus
-from concord.features.several_targets.options import TargetSwarm
+from concord.entries import member
+from concord.nodes.messages import Estimate
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import with_settings
@@ -33,8 +34,41 @@ class PlantDrawing(Enum):
 
     PLANE = "where it is"
     TRACK = "a car on its track"
-    SWARM = "several targets and their tracks"
+    OWN = "as its scenario draws it"
     GRAPH = "the network by its graph"
+
+
+class StepsTold(Protocol):
+    """Takes the steps of a network in order."""
+
+    def add(self, state: np.ndarray, estimates: Mapping[int, Estimate], /) -> tuple[Any, list[str]]:
+        """Return what nodes tell beside their beliefs in a step, and words for the log."""
+        ...
+
+
+class OwnPage(NamedTuple):
+    """What the page shows of a scenario whose nodes have places, and tell more than a belief.
+
+    Attributes:
+        begin: setup -> what takes the steps of a network; each gives a `StepFrame.extra`.
+        errors: `StepFrame.extra` -> errors (N,) in place of those of beliefs; NaN of a node that
+            told none.
+        error_name: name of that error, by which `meanings` and the charts begin.
+        belief_unit: unit of the scored states of a belief.
+        charts: () -> the charts (`panels.chart.Chart`) in place of that of the RMSE.
+        picture: (viser scene, stage) -> the plant (`scene.plants.PlantPicture`), drawn to scale.
+        legend: theme -> the marks of that picture (`scene.legend.Meaning`).
+        meanings: first words of the titles of `charts`, with the meaning of the chart.
+    """
+
+    begin: Callable[[Setup], StepsTold]
+    errors: Callable[[Any], np.ndarray]
+    error_name: str
+    belief_unit: str
+    charts: Callable[[], tuple[Any, ...]]
+    picture: Callable[..., Any]
+    legend: Callable[[Any], list[Any]]
+    meanings: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -44,7 +78,8 @@ class Stage:
     Attributes:
         names: of the nodes. edges: (E, 2), lower index first. heard: (H, 2) receiver, sender of
         each neighbour, in the order in which estimates list ages. layout: (N, 2) of a network
-        without places. place: the two states that are a position, empty without.
+        without places. place: the two states that are a position, empty without. own: what the
+        scenario adds to the page.
     """
 
     setup: Setup
@@ -60,6 +95,7 @@ class Stage:
     place: tuple[int, ...]
     positions: Callable[[int], np.ndarray]
     sight_range_m: float | None
+    own: OwnPage | None = None
 
     @property
     def nodes(self) -> int:
@@ -80,14 +116,9 @@ class Stage:
         return "fused ellipsoids" if self.set_valued else "fused"
 
     @property
-    def has_tracks(self) -> bool:
-        """Whether nodes track several targets, and errors are those of their tracks."""
-        return self.picture is PlantDrawing.SWARM
-
-    @property
     def error_name(self) -> str:
         """Name of the error of a step."""
-        return "GOSPA" if self.has_tracks else "RMSE"
+        return "RMSE" if self.own is None else self.own.error_name
 
     @cached_property
     def whereabouts(self) -> np.ndarray:
@@ -123,9 +154,9 @@ def set_stage(setup: Setup) -> Stage:
     definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
     positions: Callable[[int], np.ndarray]
-    several = isinstance(setup.scenario.plant, TargetSwarm)
+    own: OwnPage | None = member(definition.page) if definition.page else None
     if plant.positions(0) is not None:
-        picture = PlantDrawing.SWARM if several else PlantDrawing.PLANE
+        picture = PlantDrawing.PLANE if own is None else PlantDrawing.OWN
         positions = _positions(setup)
     else:
         layout = _laid_out(setup.neighbours)
@@ -146,6 +177,7 @@ def set_stage(setup: Setup) -> Stage:
         place=tuple(definition.score.states[:2]) if picture is PlantDrawing.PLANE else (),
         positions=positions,
         sight_range_m=getattr(plant, "field_of_view_m", None),
+        own=own,
     )
 
 

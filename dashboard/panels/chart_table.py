@@ -7,7 +7,6 @@ from concord.dashboard.frames.history import state_table
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 from concord.dashboard.panels.nis_chart import nis_chart
-from concord.features.several_targets.charts import track_charts
 from concord.scenarios.preparation import share_bytes
 
 _LOWER, _UPPER = "−3σ", "+3σ"
@@ -15,10 +14,12 @@ _LOWER, _UPPER = "−3σ", "+3σ"
 
 def run_charts(stage: Stage) -> tuple[Chart, ...]:
     """Return the charts of the network: error, disagreement, consistency, traffic."""
-    # The belief beside tracks is the number of targets.
-    unit = "targets" if stage.has_tracks else stage.score.unit
+    own = stage.own
+    errors, unit = ((_error_chart(stage),), stage.score.unit) if own is None else (
+        own.charts(), own.belief_unit
+    )  # fmt: skip
     return (
-        *(track_charts() if stage.has_tracks else (_error_chart(stage),)),
+        *errors,
         Chart(
             f"Disagreement of the nodes{_scored(stage)}",
             unit,

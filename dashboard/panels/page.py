@@ -66,7 +66,7 @@ class Page:
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE, other is not None)
         with panels.charts:
-            gui.add_html(DENSE_STYLE + tooltips(), order=0)
+            gui.add_html(DENSE_STYLE + tooltips(stage), order=0)
         charts = run_charts(stage)
         if other is not None:
             charts = compared_charts(charts, other, history)

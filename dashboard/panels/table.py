@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.dashboard.digits import rounded
 from concord.dashboard.explain.help import HEADINGS
-from concord.dashboard.explain.tooltips import CHARTS
+from concord.dashboard.explain.tooltips import chart_meanings
 from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
@@ -144,12 +144,13 @@ def status(
     if frame is not None:
         stage = frame.stage
         unit, name = stage.score.unit.removeprefix("1"), stage.error_name
+        means = chart_meanings(stage)[name]
         rows = [
             ("step", "step", f"{frame.step}", "number of the shown step, from 0"),
             ("time", "time", f"{frame.time_s:.4g} s", "time of the plant"),
             ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}", "nodes that are up"),
             ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}", "of all links"),
-            (name, "rmse", f"{_number(frame.scores.rmse)} {unit}".strip(), CHARTS[name]),
+            (name, "rmse", f"{_number(frame.scores.rmse)} {unit}".strip(), means),
         ]
         if np.isfinite(frame.scores.central):
             central = f"{_number(frame.scores.central)} {unit}".strip()

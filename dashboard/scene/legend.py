@@ -35,11 +35,7 @@ def meanings(view: View, frame: StepFrame) -> list[Meaning]:
             ("\u2014", theme.truth, "path of the car"),
             ("\u2014", theme.estimate, "path that a node believes"),
         ],
-        PlantDrawing.SWARM: [
-            ("\u25cf", theme.truth, "target, with its trail"),
-            ("\u2715", theme.fused, "track of the selected node, or of the first, with its number"),
-            ("\u25cb", theme.fused, "three standard deviations of a track"),
-        ],
+        PlantDrawing.OWN: [] if stage.own is None else stage.own.legend(theme),
         PlantDrawing.GRAPH: [
             ("\u2588", theme.estimate, "post: the error of a node"),
             ("\u25ef", theme.fused, f"ring: {around}"),

@@ -17,14 +17,12 @@ from concord.dashboard.scene.signs import colour_of
 from concord.dashboard.scene.track import CarTrack
 from concord.dashboard.theme import Theme, linear, mixed
 from concord.dashboard.view import MOST_LABELS, View
-from concord.features.several_targets.scene import SwarmTracks
 
 _NODE_HEIGHT = 0.02
 # Above these they hide everything, and say nothing.
 _MOST_LINKS = 2000
 PLANTS: dict[PlantDrawing, Callable[..., PlantPicture]] = {
     PlantDrawing.PLANE: Plane,
-    PlantDrawing.SWARM: SwarmTracks,
     PlantDrawing.TRACK: CarTrack,
     PlantDrawing.GRAPH: ErrorPosts,
 }
@@ -60,7 +58,8 @@ class Scene:
         self._hovered = scene.add_mesh_simple(
             "/network/hovered", vertices, faces, side="double", visible=False, opacity=0.6
         )
-        self.plant = PLANTS[stage.picture](scene, stage)
+        draw = PLANTS[stage.picture] if stage.own is None else stage.own.picture
+        self.plant: PlantPicture = draw(scene, stage)
         self._shown_labels: tuple[object, ...] | None = None
         self.target: np.ndarray | None = None
         """Where the target is in the scene (3,), once it is drawn; None of an unknown one."""
@@ -239,4 +238,4 @@ def cell_m(stage: Stage) -> float:
 
 def is_to_scale(stage: Stage) -> bool:
     """Say whether the scene is a map."""
-    return stage.picture in (PlantDrawing.PLANE, PlantDrawing.SWARM)
+    return stage.picture in (PlantDrawing.PLANE, PlantDrawing.OWN)

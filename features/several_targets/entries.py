@@ -16,3 +16,6 @@ RULES = {
         f"{_HERE}.options:TrackIntersection",
     ),
 }
+FIGURES = {
+    "tracks": (f"{_HERE}.figure_names:FIGURES", "Scores of the tracks of several targets."),
+}

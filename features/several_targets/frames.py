@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scanned_swarm import PLACES, paths_of
 from concord.features.several_targets.tracking.scores import CUTOFF_M, ORDER, gospa
 from concord.features.several_targets.tracking.tracks import TrackReport, report_of
@@ -44,7 +43,7 @@ class StepTracks(NamedTuple):
 
 
 class TracksTold:
-    """Takes the steps of a network in order; of a scenario with one target it returns None.
+    """Takes the steps of a network in order.
 
     A track has the same identity at all nodes. It is born when a first node reports it, and has
     died when no node does.
@@ -58,10 +57,8 @@ class TracksTold:
 
     def add(
         self, state: np.ndarray, estimates: Mapping[int, Estimate]
-    ) -> tuple[StepTracks | None, list[str]]:
+    ) -> tuple[StepTracks, list[str]]:
         """Return the tracks of a step with the plant's state, and births and deaths in words."""
-        if not isinstance(self._setup.scenario.plant, TargetSwarm):
-            return None, []
         paths, nodes = paths_of(state), self._setup.scenario.nodes
         there = set(np.flatnonzero(np.isfinite(paths).all(axis=-1)).tolist())
         truth = paths[sorted(there)][:, PLACES]

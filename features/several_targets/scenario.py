@@ -75,4 +75,6 @@ DEFINITION = ScenarioDefinition(
     radio_range_m=RADIO_RANGE_M,
     wirings={"labelled": FLOODED_SCANS, "track-ci": SHARED_TRACKS},
     baseline_filter=baseline_filter,
+    results="concord.features.several_targets.results:EXTRAS",
+    page="concord.features.several_targets.page:PAGE",
 )

@@ -50,14 +50,12 @@ class SwarmTracks:
         return None
 
     def shown(self, view: View, frame: StepFrame) -> np.ndarray:
-        if frame.tracks is None:
-            return np.zeros((0, 3))
-        places = frame.tracks.paths[:, PLACES]
+        places = frame.extra.paths[:, PLACES]
         return self._stage.in_scene(places[np.isfinite(places).all(axis=-1)], 0.1)
 
     def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
-        tracks = None if frame.tracks is None else frame.tracks.of(view.selected)
+        tracks = frame.extra.of(view.selected)
         rings = geometry.outlines(
             self.shown(view, frame)[:, :2], np.array([0.1, 0.1]), np.zeros(())
         )
@@ -81,7 +79,7 @@ class SwarmTracks:
 
     def _target_ways(self, view: View, past: Sequence[StepFrame]) -> tuple[np.ndarray, np.ndarray]:
         """Return the trails of the targets that are there, as segments and colours."""
-        told = [frame.tracks.paths[:, PLACES] for frame in past if frame.tracks is not None]
+        told = [frame.extra.paths[:, PLACES] for frame in past]
         if not told:
             return _NOTHING, _NOTHING
         ways = self._stage.in_scene(np.stack(told), 0.06)
@@ -96,7 +94,7 @@ class SwarmTracks:
         """Return the trails of the tracks that a node has now, as segments and colours."""
         ways: defaultdict[int, list[np.ndarray]] = defaultdict(list)
         for frame in past:
-            told = None if frame.tracks is None else frame.tracks.of(view.selected)
+            told = frame.extra.of(view.selected)
             if told is not None:
                 for number, mean in zip(told.numbers, told.report.mean, strict=True):
                     ways[number].append(mean[PLACES])

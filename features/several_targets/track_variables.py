@@ -10,8 +10,10 @@ import numpy as np
 
 from concord.features.several_targets.swarm_tracking import swarm_of
 from concord.features.several_targets.track_log import TrackLog
-from concord.features.several_targets.tracking.tracks import IDENTITY, REPORT_COLUMNS, report_of
+from concord.features.several_targets.tracking.scores import CUTOFF_M
+from concord.features.several_targets.tracking.tracks import IDENTITY, report_of
 from concord.features.several_targets.tracks_trace import TracksTrace, log_alone
+from concord.nodes.messages import TRACK_NUMBERS
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ _NAMES = ("x", "vx", "y", "vy")
 _COLUMNS = ("existence", *_NAMES, *(f"{name}_std" for name in _NAMES))
 _UNITS = ("m", "m s-1", "m", "m s-1")
 _RUN = "trajectory_run"
-_NO_ROWS = np.empty((0, REPORT_COLUMNS))
+_NO_ROWS = np.empty((0, TRACK_NUMBERS))
 _AT = {"coordinates": "track_time track_x track_y"}
 _KEYS = 1 + IDENTITY
 """Columns of a row that tell its trajectory: tracker and identity; its step follows."""
@@ -32,22 +34,21 @@ _KEYS = 1 + IDENTITY
 def track_variables(
     setup: Setup, tracks: TracksTrace, readings: np.ndarray
 ) -> dict[str, tuple[Any, ...]]:
-    """Return the variables of the targets' states, and of the tracks of the centre and the nodes.
+    """Return the variables of the targets' states, of the tracks of the centre and the nodes, and
+    GOSPA of the nodes.
 
     readings (steps, N, 1 + D, 2).
     """
     centre = log_alone(setup, range(setup.scenario.nodes), readings, tracks.paths)
-    return _ragged(setup, [_sorted_rows(tracks, {CENTRE: centre})])[0]
+    gospa = (("step", "node"), tracks.distances(), {"units": "m", "cutoff": CUTOFF_M})
+    return {**_ragged(setup, [_sorted_rows(tracks, {CENTRE: centre})])[0], "gospa": gospa}
 
 
 def track_variables_of_runs(
     setup: Setup, runs: Sequence[int], tracks: Sequence[TracksTrace]
 ) -> dict[str, tuple[Any, ...]]:
     """Return the variables of the targets' states and of the tracks of the nodes, of many runs."""
-    rows = [_sorted_rows(one, {}) for one in tracks]
-    if not rows:
-        return {}
-    found, which = _ragged(setup, rows)
+    found, which = _ragged(setup, [_sorted_rows(one, {}) for one in tracks])
     run = np.array(runs)[which]
     names = [f"{one}/{name}" for one, name in zip(run, found["trajectory"][1], strict=True)]
     return {

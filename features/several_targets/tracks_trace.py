@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.options import TargetSwarm
 from concord.features.several_targets.scanned_swarm import paths_of
 from concord.features.several_targets.swarm_tracking import settings_of, tracked_alone
 from concord.features.several_targets.track_log import TrackLog
 from concord.features.several_targets.tracking.tracks import report, report_of
-from concord.nodes.messages import ReportedTracks
+from concord.results.records.extras import Told
 from concord.scenarios.setup import Setup
 
 
@@ -39,15 +38,8 @@ class TracksTrace(NamedTuple):
         return found
 
 
-def tracks_trace(
-    setup: Setup, states: np.ndarray, told: Mapping[tuple[int, int], ReportedTracks | None]
-) -> TracksTrace | None:
-    """Return the tracks that nodes tell by (step, node), beside the plant's states (steps, ...).
-
-    None where the scenario has a single target.
-    """
-    if not isinstance(setup.scenario.plant, TargetSwarm):
-        return None
+def tracks_trace(setup: Setup, states: np.ndarray, told: Told) -> TracksTrace:
+    """Return the tracks that nodes tell beside the plant's states (steps, ...)."""
     paths, digests = paths_of(states), {}
     logs = tuple(TrackLog() for _ in range(setup.scenario.nodes))
     for step, truth in enumerate(paths):

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from concord.entries import chosen, entries
+
 
 class Figure(NamedTuple):
     """Dimensions and unit of a variable ("score": the unit of the scenario's error)."""
@@ -12,15 +14,10 @@ class Figure(NamedTuple):
 
 
 _RUN, _STEP, _NODE = ("run",), ("run", "step"), ("run", "node")
-_TRACKS = {
-    "ospa": ("m", "mean OSPA of several targets"),
-    "missed_targets": ("1", "mean number of targets without a track"),
-    "false_tracks": ("1", "mean number of tracks without a target"),
-    "cardinality_error": ("1", "mean error of the number of targets"),
-    "identity_switches": ("1", "changes of the track of a target in a run, mean over the nodes"),
-    "steps_to_confirm": ("1", "mean steps from a target's first to that of its track"),
+OF_FEATURES = {
+    name: Figure(*row) for one in entries("FIGURES") for name, row in chosen("FIGURES", one).items()
 }
-"""Scores of several targets; NaN for scenarios with one."""
+"""Figures of the features (`concord.entries`); NaN for scenarios without them."""
 FIGURES = {
     "rmse": Figure(_RUN, "score", "root mean square error of all nodes over the scored steps"),
     "rmse_centralised": Figure(_RUN, "score", "the same of one filter that hears everything"),
@@ -28,11 +25,7 @@ FIGURES = {
     "rmse_worst_node": Figure(_RUN, "score", "the same of the worst node of the run"),
     "rmse_smoothed": Figure(_RUN, "score", "error of the states of --smooth-steps steps ago"),
     "rmse_smoothed_centralised": Figure(_RUN, "score", "of a smoother that hears everything"),
-    **{name: Figure(_RUN, unit, meaning) for name, (unit, meaning) in _TRACKS.items()},
-    **{
-        f"{name}_centralised": Figure(_RUN, unit, "the same of one tracker with all scans")
-        for name, (unit, _) in _TRACKS.items()
-    },
+    **OF_FEATURES,
     "disagreement": Figure(_RUN, "score", "root mean square distance from the nodes' average"),
     "anees": Figure(_RUN, "1", "normalised squared error per state; above 1 is overconfident"),
     "anees_centralised": Figure(_RUN, "1", "the same of one filter that hears everything"),

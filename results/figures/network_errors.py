@@ -5,14 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.tracks_trace import (
-    TracksTrace,
-    distances_alone,
-    distances_of_centre,
-)
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
 from concord.filters.metrics import consensus
+from concord.results.records.extras import RunExtra, run_extras
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
@@ -21,21 +17,21 @@ from concord.scenarios.setup import Setup
 
 class RunTruths(NamedTuple):
     """Truth (R, S, n) and readings (R, S, N, r, d) of R runs of S steps, by which they are scored;
-    with the tracks of each run for several targets."""
+    with what nodes tell beside their beliefs, of each run of a scenario with `RunExtras`."""
 
     truth: np.ndarray
     readings: np.ndarray
-    tracks: Sequence[TracksTrace] = ()
+    extras: Sequence[RunExtra] = ()
 
 
 class NetworkErrors(NamedTuple):
-    """Errors in the m scored states of R runs of N nodes in S steps; GOSPA alone for tracks.
+    """Errors in the m scored states of R runs of N nodes in S steps; m = 1 of `RunExtras`.
 
     Attributes:
         nodes: (R, S, N, m).
         centre: (R, S, m), of one filter that hears everything.
-        spread: (R, S, N, m), from the average of the nodes that believe something. NaN for tracks:
-            no average of sets of tracks is defined.
+        spread: (R, S, N, m), from the average of the nodes that believe something. NaN of
+            `RunExtras`, which have no average.
         nees, nees_centre: (R, S, N) and (R, S), per state. NaN where estimates are sets, and in
             steps for which the model does not hold: there it cannot tell its errors.
     """
@@ -69,10 +65,11 @@ def network_errors(
         nees_centre = scored_nees(setup.scenario, of_centre, symmetrise(centre.cov))
     states, held = len(score.nees_states), np.logical_not(outside_steps(setup, centre.mean))
     consistency = (where_counted(held, one / states) for one in (nees, nees_centre))
-    if known.tracks:
-        runs = list(zip(known.tracks, known.readings, strict=True))
-        nodes = np.stack([tracks.distances() for tracks, _ in runs])[..., None]
-        hears_all = np.stack([distances_of_centre(setup, *one) for one in runs])[..., None]
+    extras = run_extras(setup.scenario)
+    if extras is not None:
+        runs = list(zip(known.extras, known.readings, strict=True))
+        nodes = np.stack([one.distances() for one, _ in runs])[..., None]
+        hears_all = np.stack([extras.distances_of_centre(setup, *one) for one in runs])[..., None]
         return NetworkErrors(nodes, hears_all, np.full_like(nodes, np.nan), *consistency)
     of_nodes = (mean - known.truth[:, :, None])[..., list(score.states)]
     return NetworkErrors(of_nodes, of_centre[..., list(score.states)], spread, *consistency)
@@ -93,9 +90,10 @@ def outside_steps(setup: Setup, mean: np.ndarray) -> np.ndarray:
 
 def errors_alone(setup: Setup, known: RunTruths, mean: np.ndarray) -> np.ndarray:
     """Errors (R, S, N, m) of nodes without neighbours, whose estimates are mean (R, S, N, n)."""
-    if known.tracks:
-        runs = zip(known.tracks, known.readings, strict=True)
-        return np.stack([distances_alone(setup, *one) for one in runs])[..., None]
+    extras = run_extras(setup.scenario)
+    if extras is not None:
+        runs = zip(known.extras, known.readings, strict=True)
+        return np.stack([extras.distances_alone(setup, *one) for one in runs])[..., None]
     states = list(definition_of(setup.scenario).score.states)
     return (mean - known.truth[:, :, None])[..., states]
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from concord.features.several_targets.tracking_figures import track_figures
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known
 from concord.results.figures.energy import energy_per_bit_nj
+from concord.results.figures.figure_table import OF_FEATURES
 from concord.results.figures.network_errors import (
     NetworkErrors,
     RunTruths,
@@ -22,6 +22,7 @@ from concord.results.figures.network_errors import (
 )
 from concord.results.figures.run_frame import RunFrame
 from concord.results.figures.smoothed_errors import smoothed_errors
+from concord.results.records.extras import run_extras
 from concord.results.records.histories import Histories
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
@@ -40,7 +41,7 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
     counted = scored_steps(score, readings)
     scored = _Scored(min(score.first_step, counted.shape[1] - 1), counted)
     central = Gaussian(frame.mean, frame.cov)
-    known = RunTruths(histories.truth, readings, histories.tracks)
+    known = RunTruths(histories.truth, readings, histories.extras)
     errors = network_errors(setup, known, histories.mean, histories.nees, central)
     # Squared lengths in the scored states.
     lengths, central_lengths, spreads = ((part**2).sum(-1) for part in errors[:3])
@@ -62,7 +63,9 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
     figures |= _smoothed(setup, histories, frame, counted)
-    figures |= track_figures(setup, histories.tracks, readings)
+    figures |= dict.fromkeys(OF_FEATURES, np.full(len(readings), np.nan))
+    if (extras := run_extras(setup.scenario)) is not None:
+        figures |= extras.figures_of_runs(setup, histories.extras, readings)
     figures |= _consistency(errors, scored, len(score.nees_states))
     return figures | traffic_of(setup, histories)
 

@@ -7,12 +7,11 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from concord.features.sets.containment import Containment, containment
-from concord.features.several_targets.tracking_figures import TrackingFigures, tracking_figures
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, rmse
 from concord.results.bus import bus_report
 from concord.results.bus.bus_report import BusFigures
+from concord.results.figures.containment import Containment, containment
 from concord.results.figures.network_errors import (
     NetworkErrors,
     RunTruths,
@@ -29,6 +28,7 @@ from concord.results.innovations.of_run import (
     run_innovations,
 )
 from concord.results.records import record_spread
+from concord.results.records.extras import ExtraFigures, run_extras
 from concord.results.records.record_spread import SpreadFigures
 from concord.results.records.trace import Past, Trace
 from concord.results.run_verdict import anees_interval
@@ -38,7 +38,6 @@ from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
-from concord.studies.alternative import LabelledFigures
 
 _TRAFFIC = ("sent", "heard", "missed")
 
@@ -49,6 +48,17 @@ class SmoothedFigure(msgspec.Struct, frozen=True):
     lag: int
     rmse: float
     rmse_centralised: float
+
+
+class LabelledFigures(msgspec.Struct, frozen=True):
+    """Figures of a run under rule `labelled` in place of its own.
+
+    `options` are those that choose it; `wire_bytes_per_step` is None on a bus without time.
+    """
+
+    options: str
+    rmse: float
+    wire_bytes_per_step: float | None
 
 
 class NodeFigures(msgspec.Struct, frozen=True):
@@ -75,7 +85,8 @@ class Figures(msgspec.Struct, frozen=True):
     nodes' counters other than traffic: frames lost, late, repeated, rejected and why. `suspect` is
     the number of steps in which each node said that its belief does not fit what it had heard.
     `labelled` are the figures under that rule, where they are known. `innovations` and `verdict`
-    are None where estimates are sets, or sensors have no filter.
+    are None where estimates are sets, or sensors have no filter. `tracking` are those of scenarios
+    with `RunExtras`.
     """
 
     scenario: str
@@ -111,7 +122,7 @@ class Figures(msgspec.Struct, frozen=True):
     labelled: LabelledFigures | None = None
     innovations: InnovationFigures | None = None
     verdict: str | None = None
-    tracking: TrackingFigures | None = None
+    tracking: ExtraFigures | None = None
 
 
 def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -> Figures:
@@ -133,6 +144,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
     per_step = mean_of_known(errors.nees, (1,))
     of_steps = anees_interval(per_step)
     innovations, sentence = judged_run(setup, found, first, per_step)
+    extras = run_extras(setup.scenario)
     return Figures(
         scenario=setup.scenario.name,
         unit=score.unit,
@@ -174,7 +186,7 @@ def summarise(setup: Setup, trace: Trace, found: RunInnovations | None = None) -
         smoothed=trace.past and _smoothed(setup, trace, trace.past, central, first),
         innovations=innovations,
         verdict=sentence,
-        tracking=trace.tracks and tracking_figures(setup, trace.tracks, trace.readings),
+        tracking=extras and extras.figures(setup, trace.extra, trace.readings),
     )
 
 
@@ -226,8 +238,8 @@ def _errors_of(
     setup: Setup, trace: Trace, central: Gaussian
 ) -> tuple[NetworkErrors, np.ndarray, int]:
     """Errors of the network and of each node alone, from the first scored step on, and that."""
-    tracks = () if trace.tracks is None else (trace.tracks,)
-    known = RunTruths(trace.truth[None], trace.readings[None], tracks)
+    extras = () if trace.extra is None else (trace.extra,)
+    known = RunTruths(trace.truth[None], trace.readings[None], extras)
     score = definition_of(setup.scenario).score
     first = int(scored_steps(score, known.readings)[0].argmax())
     alone = local_only(setup, trace.readings, trace.control)

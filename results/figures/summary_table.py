@@ -7,18 +7,16 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from concord.features.sets.containment import Containment
-from concord.features.several_targets.tracking_figures import lines as tracking_lines
 from concord.results.bus import bus_report
 from concord.results.figures import timing_figures
+from concord.results.figures.containment import Containment
 from concord.results.figures.intervals import Interval
 from concord.results.figures.smoothed_errors import shown_lags
-from concord.results.figures.summary import Figures
+from concord.results.figures.summary import Figures, LabelledFigures
 from concord.results.innovations.figures import NisFigures
 from concord.results.innovations.of_run import nis_columns
 from concord.results.records import record_spread
 from concord.results.run_verdict import verdict, worst_in_words
-from concord.studies.alternative import in_words
 
 
 def table(figures: Figures, title: str) -> Table:
@@ -95,10 +93,21 @@ def opening(figures: Figures) -> list[str]:
         said = [verdict(*compared, anees_)]
         if figures.labelled is not None and not np.isnan(figures.rmse_centralised):
             wire_bytes = None if figures.bus is None else figures.bus.wire_bytes_per_step
-            said.append(in_words(figures.labelled, figures.rmse_centralised, wire_bytes))
+            said.append(labelled_in_words(figures.labelled, figures.rmse_centralised, wire_bytes))
         return said
     held = figures.containment
     return [f"sets: {held.violations} of {held.sets} do not hold the truth"]
+
+
+def labelled_in_words(beside: LabelledFigures, centralised: float, wire_bytes: float | None) -> str:
+    """The sentence under the verdict on a run whose frames have so many bytes in a step."""
+    would = f"labelled measurements would give {beside.rmse / centralised:.3g} x"
+    if wire_bytes is None or beside.wire_bytes_per_step is None:
+        return f"{would}: {beside.options}"
+    return (
+        f"on the bus: {wire_bytes:.0f} bytes a step; {would} at "
+        f"{beside.wire_bytes_per_step:.0f} bytes: {beside.options}"
+    )
 
 
 def lines(figures: Figures) -> list[str]:
@@ -128,7 +137,7 @@ def lines(figures: Figures) -> list[str]:
         )
         text.append(f"smoothed, x the centralised smoother of that lag in steps: {ratios}")
     if figures.tracking is not None:
-        text += tracking_lines(figures.tracking)
+        text += figures.tracking.lines()
     if figures.noticed:
         counts = ", ".join(f"{name} {count}" for name, count in figures.noticed.items())
         text.append(f"nodes noticed: {counts}")

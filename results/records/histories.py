@@ -4,11 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.tracks_trace import TracksTrace
+from concord.results.records.extras import RunExtra
 from concord.results.records.record_spread import RecordSpread
 from concord.results.records.trace import Past
 from concord.scenarios.innovations import Innovations
 from concord.scenarios.setup import Setup
+
+
+class RunCost(NamedTuple):
+    """Cost of the runs."""
+
+    seconds: float
+    peak_memory_mb: float
 
 
 class Histories(NamedTuple):
@@ -38,7 +45,8 @@ class Histories(NamedTuple):
         suspect: (R, S, N), which nodes say that their belief does not fit what they have heard;
             None for rules that do not check.
         spreads: of labelled records, one of each run; empty for rules without.
-        tracks: of several targets, those of each run; empty for scenarios without.
+        extras: what nodes tell beside their beliefs, of each run; empty for scenarios without
+            `RunExtras`.
     """
 
     setup: Setup
@@ -60,7 +68,7 @@ class Histories(NamedTuple):
     past: Past | None
     suspect: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
-    tracks: tuple[TracksTrace, ...] = ()
+    extras: tuple[RunExtra, ...] = ()
 
     def of(self, place: slice) -> "Histories":
         """Return those of some of the runs."""
@@ -75,5 +83,5 @@ class Histories(NamedTuple):
             **several,
             counters={name: counts[place] for name, counts in self.counters.items()},
             spreads=self.spreads[place],
-            tracks=self.tracks[place],
+            extras=self.extras[place],
         )

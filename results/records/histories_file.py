@@ -5,16 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from concord.features.several_targets.track_variables import read_tracks, track_variables_of_runs
 from concord.results.folder import optional_variables, state_coordinates
 from concord.results.innovations.of_run import variables_of
-from concord.results.records.histories import Histories
+from concord.results.records.extras import run_extras
+from concord.results.records.histories import Histories, RunCost
 from concord.results.records.netcdf_file import read_dataset
 from concord.results.records.trace import Past
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import Innovations
 from concord.scenarios.setup import Setup
-from concord.studies.monte_carlo.many_figures import RunCost
 
 if TYPE_CHECKING:
     import xarray
@@ -67,7 +66,10 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables |= variables_of(histories.innovations, "", ("run", "step"))
     optional = histories.control, histories.suspect, histories.past
     variables |= optional_variables(("run", "step"), *optional)
-    variables |= track_variables_of_runs(setup, histories.runs.tolist(), histories.tracks)
+    extras = run_extras(setup.scenario)
+    if extras is not None and histories.extras:
+        of_runs = histories.runs.tolist(), histories.extras
+        variables |= extras.variables_of_runs(setup, *of_runs)
     receiver, sender = setup.links
     coordinates = {
         "run": histories.runs,
@@ -96,7 +98,8 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
         raise ValueError(f"{path}: does not hold the runs that run.json describes; {remedy}")
     arrays: dict[str, Any] = {name: data[name].to_numpy() for name in _ALWAYS}
     arrays |= {name: data[name].to_numpy() if name in data else None for name in _OPTIONAL}
-    runs = data["run"].to_numpy()
+    runs, extras = data["run"].to_numpy(), run_extras(scenario)
+    there = np.isfinite(arrays["mean"]).all(axis=-1)
     histories = Histories(
         setup=setup,
         runs=runs,
@@ -109,7 +112,7 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
         past=_read_past(data),
         suspect=data["suspect"].to_numpy() > 0 if "suspect" in data else None,
         spreads=(),
-        tracks=read_tracks(data, setup, np.isfinite(arrays["mean"]).all(axis=-1)),
+        extras=() if extras is None else tuple(extras.read_runs(data, setup, there)),
         **arrays,
     )
     return histories, RunCost(**{name: float(one) for name, one in spent.items()})

@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.tracks_trace import TracksTrace, tracks_trace
 from concord.filters.linalg import unpack_upper
 from concord.nodes.changes import Event
 from concord.nodes.history import History, history_of, with_holes, without_lost_words
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.results.bus.bus_record import BusRecord
 from concord.results.bus.sent_shares import SentShares
+from concord.results.records.extras import RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_definition import frame_format
@@ -52,8 +52,9 @@ class Trace(NamedTuple):
         for rules without, and where the network changed. past: for rules that estimate it. suspect:
         (steps, N), which nodes say that their belief does not fit what they have heard.
         estimate_age_s: (steps, N), age of each estimate when it was sent; None but in real time.
-        tracks: of several targets, whose number is the state. duality_gap: (steps, N), of sets that
-        a programme found; None without.
+        extra: what nodes tell beside their beliefs, of scenarios with `RunExtras`; then the truth
+        is cut to the states of a belief. duality_gap: (steps, N), of sets that a programme found;
+        None without.
     """
 
     truth: np.ndarray
@@ -72,7 +73,7 @@ class Trace(NamedTuple):
     past: Past | None = None
     suspect: np.ndarray | None = None
     estimate_age_s: np.ndarray | None = None
-    tracks: TracksTrace | None = None
+    extra: RunExtra | None = None
     duality_gap: np.ndarray | None = None
 
     @property
@@ -179,10 +180,12 @@ def _assemble(
     truth = np.full((steps, len(setup.initial_state)), np.nan)
     for k in truths.keys() & range(steps):
         truth[k] = from_wire(truths[k].state)
-    there = {key: one.tracks for key, one in estimates.items() if history.is_in(key[1], key[0])}
-    tracks = tracks_trace(setup, truth, there)
+    extra, extras = None, run_extras(setup.scenario)
+    if extras is not None:
+        told = {(k, i): one.tracks for (k, i), one in estimates.items() if history.is_in(i, k)}
+        extra = extras.read(setup, truth, told)
     return Trace(
-        truth=truth if tracks is None else truth[:, :n],
+        truth=truth if extra is None else truth[:, :n],
         readings=readings,
         control=_control(controls),
         mean=mean,
@@ -202,7 +205,7 @@ def _assemble(
         past=past,
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
         estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
-        tracks=tracks,
+        extra=extra,
         duality_gap=None if np.isnan(gap).all() else gap,
     )
 

@@ -1,7 +1,5 @@
 """The figures of many runs: each with its interval over the runs, which alone are independent."""
 
-from typing import NamedTuple
-
 import msgspec
 import numpy as np
 from rich.markup import escape
@@ -21,7 +19,7 @@ from concord.results.figures.run_figures import traffic_of
 from concord.results.figures.smoothed_errors import shown_lags, smoothed_errors
 from concord.results.innovations.figures import InnovationFigures
 from concord.results.innovations.of_run import judged
-from concord.results.records.histories import Histories
+from concord.results.records.histories import Histories, RunCost
 from concord.results.records.trace import Past
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
 from concord.scenarios.catalogue import definition_of
@@ -89,19 +87,12 @@ class ManyFigures(msgspec.Struct, frozen=True):
     warning: str | None = None
 
 
-class RunCost(NamedTuple):
-    """Cost of the runs."""
-
-    seconds: float
-    peak_memory_mb: float
-
-
 def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     """Return the figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
     score = definition_of(scenario).score
-    known = RunTruths(histories.truth, histories.readings, histories.tracks)
+    known = RunTruths(histories.truth, histories.readings, histories.extras)
     counted = scored_steps(score, known.readings)
     runs, nodes = histories.runs.tolist(), scenario.nodes
     alone = local_only_of_runs(setup, runs, known.readings, histories.control)

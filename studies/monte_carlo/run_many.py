@@ -10,12 +10,12 @@ import msgspec
 from rich.console import Console
 
 from concord.results.folder import Description, write_whole
+from concord.results.records.histories import RunCost
 from concord.results.records.histories_file import histories_dataset
 from concord.runtime.batched.build import without_array_form
 from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.many_figures import (
     ManyFigures,
-    RunCost,
     lines,
     summarise,
     table,

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.features.several_targets.tracks_of_runs import TracksOfRuns
-from concord.features.several_targets.tracks_trace import TracksTrace
 from concord.filters.gaussian import Gaussian
+from concord.nodes.messages import ReportedTracks
+from concord.results.records.extras import RunExtra, RunExtras, run_extras
 from concord.results.records.histories import Histories
 from concord.results.records.record_spread import RecordSpread
 from concord.results.records.spread_history import SpreadHistory
@@ -123,7 +123,7 @@ class _Collected:
         self._counters: dict[str, np.ndarray] = {}
         self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
         self._spreads: list[RecordSpread] = []
-        self._tracks: list[TracksTrace] = []
+        self._extras: list[RunExtra] = []
         self._done = 0
 
     def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
@@ -144,7 +144,7 @@ class _Collected:
             shape = (len(self._runs), setup.scenario.nodes)
             self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
         self._spreads += part.spreads()
-        self._tracks += part.tracks()
+        self._extras += part.extras()
 
     def _write_innovations(
         self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
@@ -170,20 +170,20 @@ class _Collected:
             innovations=innovations,
             past=past,
             spreads=tuple(self._spreads),
-            tracks=tuple(self._tracks),
+            extras=tuple(self._extras),
             **fields,
         )
 
 
 class _Part(NamedTuple):
     """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
-    and once all steps are taken, how records spread, and the tracks of several targets."""
+    and once all steps are taken, how records spread, and what nodes told beside their beliefs."""
 
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
     prior_mean: np.ndarray
     spreads: Callable[[], Sequence[RecordSpread]]
-    tracks: Callable[[], Sequence[TracksTrace]]
+    extras: Callable[[], Sequence[RunExtra]]
 
 
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
@@ -193,13 +193,15 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     counters: dict[str, np.ndarray] = {}
     # Nodes times nodes times steps: nothing that a rule without records could afford.
     spreads: list[SpreadHistory] = []
-    told = TracksOfRuns(setup, len(runs))
+    extras = run_extras(setup.scenario)
+    told = None if extras is None else _Told(setup, extras, len(runs))
 
     def steps() -> Iterable[_Recorded]:
         for instant in run(network):
             counters.update(instant.counters)
-            told.add(instant)
-            if instant.spread is not None and not told.there and not setup.scenario.changes:
+            if told is not None:
+                told.add(instant)
+            elif instant.spread is not None and not setup.scenario.changes:
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
             yield _recorded(setup, instant, most_rounds)
@@ -209,8 +211,28 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
         counters,
         network.prior.mean[:, 0],
         lambda: spreads[0].of_runs() if spreads else (),
-        told.of_runs,
+        tuple if told is None else told.of_runs,
     )
+
+
+class _Told:
+    """What the nodes of R runs tell beside their beliefs, and the states of their plants."""
+
+    def __init__(self, setup: Setup, extras: RunExtras, runs: int) -> None:
+        self._setup, self._extras = setup, extras
+        self._truth: list[np.ndarray] = []
+        self._told: list[dict[tuple[int, int], ReportedTracks | None]] = [{} for _ in range(runs)]
+
+    def add(self, instant: Instant) -> None:
+        """One step more."""
+        self._truth.append(instant.truth)
+        for told, of_run in zip(self._told, instant.tracks or (), strict=True):
+            told.update({(instant.step, node): one for node, one in enumerate(of_run)})
+
+    def of_runs(self) -> list[RunExtra]:
+        """Return the value of each run after its last step."""
+        runs = zip(np.stack(self._truth, axis=1), self._told, strict=True)
+        return [self._extras.read(self._setup, *one) for one in runs]
 
 
 def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
@@ -219,7 +241,7 @@ def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
         np.pad(one, lacking).transpose(1, 0, 2)
         for one in (instant.payload_bytes, instant.asked, instant.classes)
     )
-    # The first state of several targets is their number; the others are those of the targets.
+    # The plant of nodes that tell tracks has more states than a belief, which come first.
     truth = instant.truth if instant.tracks is None else instant.truth[:, : len(setup.prior_mean)]
     return _Recorded(
         truth,
@@ -281,8 +303,8 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
             )
 
     spreads = [] if trace.spread is None else [trace.spread]
-    tracks = [] if trace.tracks is None else [trace.tracks]
-    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, lambda: tracks)
+    extras = [] if trace.extra is None else [trace.extra]
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, lambda: extras)
 
 
 def _write(

@@ -224,6 +224,6 @@ def test_the_page_of_several_targets_shows_their_number_and_gospa():
     assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
     off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
     np.testing.assert_allclose([frame.scores.error for frame in frames], off)
-    assert trace.tracks is not None
-    gospa_m = np.sqrt((trace.tracks.distances() ** 2).mean(axis=1))
+    assert trace.extra is not None
+    gospa_m = np.sqrt((trace.extra.distances() ** 2).mean(axis=1))
     np.testing.assert_allclose([frame.scores.rmse for frame in frames], gospa_m)

@@ -7,13 +7,13 @@ import msgspec
 import pytest
 
 from concord.results.figures.summary import Figures, summarise
-from concord.results.figures.summary_table import opening
+from concord.results.figures.summary_table import labelled_in_words, opening
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
-from concord.studies.alternative import in_words, labelled_beside
+from concord.studies.alternative import labelled_beside
 
 pytestmark = pytest.mark.slow
 
@@ -77,6 +77,6 @@ def test_nothing_is_said_where_it_could_not_be_compared(name: str, options: dict
 def test_a_bus_without_time_has_no_bytes():
     found = figures(*traced(bus="ideal"))
     assert found.labelled is not None and found.labelled.wire_bytes_per_step is None
-    assert in_words(found.labelled, found.labelled.rmse, None).startswith(
+    assert labelled_in_words(found.labelled, found.labelled.rmse, None).startswith(
         "labelled measurements would give 1 x: --rule labelled"
     )

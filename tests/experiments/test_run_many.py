@@ -9,14 +9,14 @@ from scipy.stats import t
 
 from concord.results.figures.summary import Figures
 from concord.results.figures.summary import summarise as summarise_one
-from concord.results.records.histories import Histories
+from concord.results.records.histories import Histories, RunCost
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
-from concord.studies.monte_carlo.many_figures import RunCost, lines, summarise
+from concord.studies.monte_carlo.many_figures import lines, summarise
 from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.support import small
 from tests.features.flexray_tools.flexray_support import Said, concord

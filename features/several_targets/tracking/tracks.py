@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from concord.filters.gaussian import Gaussian
+from concord.nodes.messages import TRACK_NUMBERS
 
 IDENTITY = 3
 """Length of an identity: step, sensor and place in the scan of the detection that began it."""
@@ -61,8 +62,6 @@ def number_of_targets(tracks: Tracks, undetected: float) -> Gaussian:
 
 _SEEN = 4
 """A report tells the first states of a track, which are its place and its velocity."""
-REPORT_COLUMNS = IDENTITY + 1 + 2 * _SEEN
-"""Numbers of a reported track."""
 
 
 class TrackReport(NamedTuple):
@@ -89,7 +88,7 @@ def report(tracks: Tracks, moments: Callable[[Gaussian], Gaussian]) -> TrackRepo
 
 def report_of(rows: ArrayLike) -> TrackReport:
     """Return the tracks of rows (T, 12)."""
-    rows = np.asarray(rows, dtype=np.float64).reshape(-1, REPORT_COLUMNS)
+    rows = np.asarray(rows, dtype=np.float64).reshape(-1, TRACK_NUMBERS)
     identity, existence, mean, std = np.split(
         rows, (IDENTITY, IDENTITY + 1, IDENTITY + 1 + _SEEN), axis=1
     )

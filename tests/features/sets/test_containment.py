@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.features.sets.containment import containment
 from concord.filters.gaussian import Gaussian
+from concord.results.figures.containment import containment
 
 
 def test_outside_and_undefined_sets_are_violations_and_unknown_truth_is_not():

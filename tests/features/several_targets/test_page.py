@@ -17,8 +17,8 @@ from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
-from concord.features.several_targets.charts import track_charts
 from concord.features.several_targets.frames import NodeTracks, StepTracks
+from concord.features.several_targets.page import track_charts
 from concord.features.several_targets.scene import track_colour
 from concord.features.several_targets.track_log import scored
 from tests.dashboard.runs import run_of
@@ -29,7 +29,7 @@ RUN = run_of("target-swarm", nodes=5, targets=4, steps=24, clutter=1.0)
 @cache
 def told_tracks() -> list[StepTracks]:
     """The tracks of all steps that have some."""
-    return [frame.tracks for frame in RUN.frames if frame.tracks is not None]
+    return [frame.extra for frame in RUN.frames]
 
 
 def told(tracks: StepTracks) -> list[NodeTracks]:
@@ -106,7 +106,7 @@ def test_the_scene_draws_a_cross_in_the_colour_of_each_track():
     try:
         plant: Any = Scene(server.scene, RUN.stage, DARK, None).plant
         frame, tracks = RUN.frames[-1], told_tracks()[-1].nodes[2]
-        assert RUN.stage.picture is PlantDrawing.SWARM
+        assert RUN.stage.picture is PlantDrawing.OWN
         assert tracks is not None and tracks.numbers
         plant.draw(View(selected=2), frame, RUN.frames)()
         segments, colours = plant._crosses(View(selected=2), tracks)

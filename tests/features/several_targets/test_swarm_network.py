@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.features.several_targets.results import TrackingFigures, tracking_figures
 from concord.features.several_targets.scan_flooding import (
     KeptTracks,
     Reached,
@@ -21,7 +22,7 @@ from concord.features.several_targets.swarm_tracking import plant_of
 from concord.features.several_targets.tracking import tracker
 from concord.features.several_targets.tracking.tracker import Tracked
 from concord.features.several_targets.tracking.tracks import Tracks, no_tracks
-from concord.features.several_targets.tracking_figures import TrackingFigures, tracking_figures
+from concord.features.several_targets.tracks_trace import TracksTrace
 from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import Rejected
 from concord.nodes.messages import MalformedMessage, Measured, decode
@@ -95,8 +96,8 @@ def trace_of(setup: Setup, nodes: list[NodeConfig] | None = None) -> Trace:
 
 def figures_of(setup: Setup, nodes: list[NodeConfig] | None = None) -> TrackingFigures:
     trace = trace_of(setup, nodes)
-    assert trace.tracks is not None
-    return tracking_figures(setup, trace.tracks, trace.readings)
+    assert isinstance(trace.extra, TracksTrace)
+    return tracking_figures(setup, trace.extra, trace.readings)
 
 
 def by_topic(messages: list[tuple[str, bytes]]) -> dict[str, list[Any]]:
@@ -163,10 +164,10 @@ def test_a_tracker_that_keeps_the_order_of_arrival_is_found_out(monkeypatch: pyt
 def test_every_bus_carries_scans(bus: str):
     full = trace_of(setup_of(SMALL, bus=bus, rounds=4, steps=8))
     scarce = trace_of(setup_of(SMALL, bus=bus, occupancy=0.34, steps=8))
-    assert full.tracks is not None and scarce.tracks is not None
-    digests = full.tracks.digest_numbers()
+    assert full.extra is not None and scarce.extra is not None
+    digests = full.extra.digest_numbers()
     assert (digests == digests[:, :1]).all()
-    digests = scarce.tracks.digest_numbers()
+    digests = scarce.extra.digest_numbers()
     assert (digests != digests[:, :1]).any()
     # Two nodes of six publish in the one cycle of a step, in frames of their own.
     assert 4 * scarce.published.sum() < full.published.sum()
@@ -184,8 +185,8 @@ def test_a_dead_node_is_no_longer_scored_and_a_returned_one_tracks_again():
     back = setup_of(SMALL, rounds=3, changes=("4 kill 2", "7 restart 2"))
     assert len(by_topic(messages_of(killed, nodes_of(killed)))["estimate/2"]) == 4
     trace = trace_of(back)
-    assert trace.tracks is not None
-    assert trace.tracks.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
+    assert isinstance(trace.extra, TracksTrace)
+    assert trace.extra.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
     assert trace.mean[-1, 2, 0] > 0.5
     found = figures_of(killed)
     assert found.network.gospa_m < 1.3 * found.centre.gospa_m
@@ -224,8 +225,9 @@ def test_arrays_have_the_bits_of_the_tracks_of_messages(changed: dict[str, Any])
         own = setup_of_run(setup, run)
         check_run(histories, place, own)
         trace = trace_of(own)
-        assert trace.tracks is not None
-        found, expected = histories.tracks[place], trace.tracks
+        assert isinstance(trace.extra, TracksTrace)
+        found, expected = histories.extras[place], trace.extra
+        assert isinstance(found, TracksTrace)
         np.testing.assert_array_equal(found.digest_numbers(), expected.digest_numbers())
         np.testing.assert_array_equal(found.paths, expected.paths)
         for one, other in zip(found.logs, expected.logs, strict=True):

@@ -8,6 +8,7 @@ from concord.features.several_targets.scanned_swarm import write_scan
 from concord.features.several_targets.scanning import ScanningSensor
 from concord.features.several_targets.track_exchange import TrackContent, TrackExchange
 from concord.features.several_targets.tracking.tracker import Scan
+from concord.features.several_targets.tracks_trace import TracksTrace
 from concord.nodes.messages import Measured, to_wire
 from concord.plants.range_bearing import RangeBearing
 from concord.results.records.trace import read_trace
@@ -146,7 +147,8 @@ def test_tracks_without_room_are_counted_and_a_killed_node_begins_anew():
     setup = setup_of(SHARED, most_tracks=1, changes=("4 kill 2", "7 restart 2"))
     trace = read_trace(setup, in_memory(setup))
     assert sum(counters.get("track-room", 0) for counters in trace.counters) > 0
-    assert trace.tracks is not None and trace.tracks.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
+    assert isinstance(trace.extra, TracksTrace)
+    assert trace.extra.logs[2].steps == [0, 1, 2, 3, *range(7, 12)]
 
 
 def test_a_full_cycle_holds_the_shares_of_twenty_nodes():

@@ -15,6 +15,7 @@ from concord.features.several_targets.swarm_tracking import plant_of
 from concord.features.several_targets.track_log import TrackLog
 from concord.features.several_targets.tracking.scores import gospa
 from concord.features.several_targets.tracking.tracks import no_tracks, report
+from concord.features.several_targets.tracks_trace import TracksTrace
 from concord.results.folder import read_description
 from concord.results.records.histories_file import read_histories
 from concord.results.records.trace import read_trace
@@ -144,9 +145,10 @@ def test_the_report_of_many_runs_scores_the_tracks_of_the_file(
     again = summarise(found, cost)
     assert again.rmse.value == pytest.approx(printed["rmse"][0], rel=1e-12)
     assert again.rmse_centralised.value == pytest.approx(printed["rmse_centralised"][0], rel=1e-12)
-    for run, tracks in zip((3, 4), found.tracks, strict=True):
-        expected = read_trace(one := setup_of_run(setup, run), in_memory(one)).tracks
-        assert expected is not None and len(expected.logs[2].steps) == 9
+    for run, tracks in zip((3, 4), found.extras, strict=True):
+        expected = read_trace(one := setup_of_run(setup, run), in_memory(one)).extra
+        assert isinstance(tracks, TracksTrace) and isinstance(expected, TracksTrace)
+        assert len(expected.logs[2].steps) == 9
         np.testing.assert_array_equal(tracks.paths, expected.paths)
         for log, other in zip(tracks.logs, expected.logs, strict=True):
             assert log.steps == other.steps
@@ -157,7 +159,7 @@ def test_the_report_of_many_runs_scores_the_tracks_of_the_file(
 def test_a_single_node_is_a_network():
     setup = prepare(scenario("target-swarm", nodes=1, steps=5))
     trace = read_trace(setup, in_memory(setup))
-    assert trace.tracks is not None and trace.steps == 5
+    assert trace.extra is not None and trace.steps == 5
 
 
 def test_scores_of_a_run_by_hand():

@@ -1,12 +1,16 @@
-"""Charts of the tracks of several targets."""
+"""The page of several targets: their picture, and the charts of their tracks."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import OwnPage
 from concord.dashboard.panels.chart import Chart, Column, Line, of_frames
-from concord.features.several_targets.frames import StepTracks
+from concord.dashboard.scene.legend import Meaning
+from concord.dashboard.theme import Theme
+from concord.features.several_targets.frames import StepTracks, TracksTold
+from concord.features.several_targets.scene import SwarmTracks
 
 
 def track_charts() -> tuple[Chart, ...]:
@@ -37,10 +41,32 @@ def _of_nodes(
     """Return the column of a score of the nodes that told one."""
 
     def value(frame: StepFrame) -> float:
-        if frame.tracks is None:
-            return np.nan
-        scores = score(frame.tracks)
+        scores = score(frame.extra)
         told = scores[np.isfinite(scores)]
         return float(summary(told)) if len(told) else np.nan
 
     return of_frames(value)
+
+
+def _legend(theme: Theme) -> list[Meaning]:
+    return [
+        ("\u25cf", theme.truth, "target, with its trail"),
+        ("\u2715", theme.fused, "track of the selected node, or of the first, with its number"),
+        ("\u25cb", theme.fused, "three standard deviations of a track"),
+    ]
+
+
+PAGE = OwnPage(
+    begin=TracksTold,
+    errors=lambda tracks: tracks.gospa_m,
+    error_name="GOSPA",
+    belief_unit="targets",
+    charts=track_charts,
+    picture=SwarmTracks,
+    legend=_legend,
+    meanings={
+        "GOSPA": "error of the tracks of several targets, with the missed and the false ones; the "
+        "cutoff is 50 m",
+        "Missed": "true targets without a track, and tracks without a target",
+    },
+)

@@ -1,4 +1,4 @@
-"""The figures of a run's tracks: scores of nodes and centre, and nodes with equal records."""
+"""What results know of tracks: scores of nodes and centre, and nodes with equal records."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -6,8 +6,20 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from concord.features.several_targets.track_log import TrackingScores, TrackLog
-from concord.features.several_targets.tracks_trace import TracksTrace, log_alone
+from concord.features.several_targets.track_log import TrackingScores
+from concord.features.several_targets.track_variables import (
+    read_tracks,
+    track_variables,
+    track_variables_of_runs,
+)
+from concord.features.several_targets.tracks_trace import (
+    TracksTrace,
+    distances_alone,
+    distances_of_centre,
+    log_alone,
+    tracks_trace,
+)
+from concord.results.records.extras import RunExtras
 from concord.scenarios.setup import Setup
 
 _LINES = {
@@ -19,9 +31,6 @@ _LINES = {
     "identity_switches": "identity switches {}",
     "steps_to_confirm": "steps to the first track {}",
 }
-
-
-_NOTHING = TrackLog().scores()
 
 
 class TrackingFigures(msgspec.Struct, frozen=True):
@@ -41,6 +50,21 @@ class TrackingFigures(msgspec.Struct, frozen=True):
     alike: float
     equal_records: int
     differing: int
+
+    def lines(self) -> list[str]:
+        """Return the figures in words."""
+        both = self.network, self.centre
+        parts = (
+            text.format(" / ".join(f"{getattr(one, name):.3g}" for one in both))
+            for name, text in _LINES.items()
+        )
+        equal = f"{self.alike:.1%} of the pairs of nodes have equal tracks, bit for bit"
+        if self.equal_records:
+            equal += (
+                f"; {self.equal_records} had equal records, and the tracks of "
+                f"{self.differing} of these differ"
+            )
+        return [f"tracks (RMSE is that of GOSPA), nodes / centre: {', '.join(parts)}", equal]
 
 
 def tracking_figures(setup: Setup, tracks: TracksTrace, readings: np.ndarray) -> TrackingFigures:
@@ -83,15 +107,11 @@ def track_figures(
     setup: Setup, runs: Sequence[TracksTrace], readings: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return the scores (R,) of nodes, and of one tracker with all scans (R, steps, N, 1 + D, 2),
-    by the names of `figure_table.FIGURES`; NaN where there are no tracks."""
-    scores = (
-        [
-            (mean_of([log.scores() for log in tracks.logs]), _centre(setup, tracks, scans))
-            for tracks, scans in zip(runs, readings, strict=True)
-        ]
-        if runs
-        else [(_NOTHING, _NOTHING)] * len(readings)
-    )
+    by the names of `figure_names.FIGURES`."""
+    scores = [
+        (mean_of([log.scores() for log in tracks.logs]), _centre(setup, tracks, scans))
+        for tracks, scans in zip(runs, readings, strict=True)
+    ]
     return {
         f"{name}{whose}": np.array([getattr(one[place], field) for one in scores])
         for place, whose in enumerate(("", "_centralised"))
@@ -118,18 +138,13 @@ def mean_of(scores: Sequence[TrackingScores]) -> TrackingScores:
     return TrackingScores(*means.tolist())
 
 
-def lines(figures: TrackingFigures) -> list[str]:
-    """Return the figures of tracks in words."""
-    both = figures.network, figures.centre
-    parts = (
-        text.format(" / ".join(f"{getattr(one, name):.3g}" for one in both))
-        for name, text in _LINES.items()
-    )
-    found = [f"tracks (RMSE is that of GOSPA), nodes / centre: {', '.join(parts)}"]
-    equal = f"{figures.alike:.1%} of the pairs of nodes have equal tracks, bit for bit"
-    if figures.equal_records:
-        equal += (
-            f"; {figures.equal_records} had equal records, and the tracks of "
-            f"{figures.differing} of these differ"
-        )
-    return [*found, equal]
+EXTRAS = RunExtras(
+    read=tracks_trace,
+    distances_of_centre=distances_of_centre,
+    distances_alone=distances_alone,
+    figures=tracking_figures,
+    figures_of_runs=track_figures,
+    variables=track_variables,
+    variables_of_runs=track_variables_of_runs,
+    read_runs=read_tracks,
+)

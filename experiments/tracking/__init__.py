@@ -1,1 +1,0 @@
-"""Tracks of several targets in a run: their scores, their place in run.nc, and their figures."""
