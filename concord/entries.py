@@ -1,4 +1,4 @@
-"""Collect the entries of the core, of the features and of installed packages.
+"""Collect the entries of the folders of concord, of its features and of installed packages.
 
 An entry is a name with what stands behind it: `name: (target, summary)` or `name: (target, summary,
 options)`. The target is "module:MEMBER" and is imported when the entry is chosen. The summary is
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -32,7 +33,6 @@ KINDS = {
     "NAMES": "a public name of the package concord",
 }
 """What the target of an entry is, by the name of its table."""
-CORE = ("bus", "topology", "scenarios", "results", "studies", "dashboard", "experiments")
 _GROUP = "concord.features"
 
 
@@ -53,7 +53,7 @@ class _Source(NamedTuple):
 
 @cache
 def entries(kind: str) -> dict[str, Entry]:
-    """Return the entries of a kind by name: the core's first, then features, then packages.
+    """Return the entries of a kind by name: of folders first, then of features, then of packages.
 
     Raises:
         ValueError: two sources give the same name.
@@ -107,8 +107,15 @@ def member(target: str) -> Any:
 
 @cache
 def _sources() -> tuple[_Source, ...]:
-    core = (_Source("concord", import_module(f"concord.{folder}.entries")) for folder in CORE)
-    return (*core, *_features(), *_packages())
+    return (*_folders(), *_features(), *_packages())
+
+
+def _folders() -> Iterator[_Source]:
+    """Yield the folders of concord, links included, that have entries; the others load nothing."""
+    here = Path(__file__).parent
+    for found in sorted(here.glob("*/entries.py")):
+        folder = found.parent.name
+        yield _Source(f"concord.{folder}", import_module(f"concord.{folder}.entries"))
 
 
 def _features() -> Iterator[_Source]:

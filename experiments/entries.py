@@ -47,10 +47,6 @@ COMMANDS = {
         f"{_CLI}.new:new",
         "Write a folder with a plant, a rule, tests, a sweep and a figure of your own.",
     ),
-    "reproduce": (
-        f"{_CLI}.reproduce:reproduce",
-        "Reproduce a paper; exit code 1 if a check fails.",
-    ),
     "sweep": (
         f"{_CLI}.sweep:sweep",
         "Run every combination of the given values, and print how good and how dear each is.",

@@ -90,13 +90,12 @@ def named_cluster(name: str) -> Cluster:
     if name in PRESETS:
         return preset(name)
     # Only here: most networks have a fitted cluster or a preset.
-    from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+    from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
 
     path = Path(name)
-    if path.suffix not in FILE_ENDINGS:
-        raise unknown_name(
-            "cluster", name, (*cluster_names(), "FILE.toml", "FILE.xml", "FILE.arxml")
-        )
+    if path.suffix not in file_endings():
+        files = [f"FILE{ending}" for ending in file_endings()]
+        raise unknown_name("cluster", name, (*cluster_names(), *files))
     return read_cluster_file(path)
 
 

@@ -1,10 +1,13 @@
-"""Cluster files: FIBEX, AUTOSAR, or TOML for people, a line per parameter with its name in the
-standard."""
+"""Cluster files: TOML for people, a line per parameter with its name in the standard.
+
+The table CLUSTER_FILES (`concord.entries`) adds exchange formats.
+"""
 
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -12,10 +15,8 @@ from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
 from concord.bus.flexray.clock_parameters import ClockParameters
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.constraints import PARAMETERS
-from concord.features.flexray_tools.files.arxml import cluster_from_arxml
-from concord.features.flexray_tools.files.fibex import cluster_from_fibex
-
-FILE_ENDINGS = (".toml", ".xml", ".arxml")
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.entries import chosen, entries
 
 _OTHER_NAMES = {
     "channels": "pChannels",
@@ -24,6 +25,26 @@ _OTHER_NAMES = {
     "sync_slots": "pKeySlotId of nodes with pKeySlotUsedForSync",
     "startup_slots": "pKeySlotId of nodes with pKeySlotUsedForStartup",
 }
+
+
+class ClusterFileFormat(NamedTuple):
+    """The readers of an exchange format; both take a document and the name of one of its clusters.
+
+    The name may be None where the document has one cluster. A document without the cluster, or with
+    several and no name, raises ClusterError.
+
+    Attributes:
+        cluster: returns the cluster.
+        slots: returns the slot table of the cluster, of slots that nothing has checked.
+    """
+
+    cluster: Callable[[bytes, str | None], Cluster]
+    slots: Callable[[bytes, str | None], tuple[MessageSlot, ...]]
+
+
+def file_endings() -> tuple[str, ...]:
+    """Return the endings of cluster files: of TOML, then of each exchange format."""
+    return (".toml", *entries("CLUSTER_FILES"))
 
 
 def cluster_to_toml(cluster: Cluster, chosen: Sequence[str] = ()) -> str:
@@ -67,8 +88,8 @@ def _standard_name(field: str) -> str:
 
 
 def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
-    """The cluster in a file whose ending is one of `FILE_ENDINGS`; in FIBEX
-    and AUTOSAR files the one called `name`.
+    """The cluster in a file whose ending is one of `file_endings()`; in an exchange format the one
+    called `name`.
 
     Raises:
         ValueError: the file cannot be read, or is no cluster, with its path.
@@ -80,10 +101,9 @@ def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
             f"{path}: cannot be read ({error.strerror}); name the file of a cluster"
         ) from None
     try:
-        if path.suffix == ".xml":
-            return cluster_from_fibex(data, name)
-        if path.suffix == ".arxml":
-            return cluster_from_arxml(data, name)
+        if path.suffix in entries("CLUSTER_FILES"):
+            form: ClusterFileFormat = chosen("CLUSTER_FILES", path.suffix)
+            return form.cluster(data, name)
         return cluster_from_toml(data.decode(errors="replace"))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

@@ -41,7 +41,7 @@ class FlexRayBus(SlottedBus):
     """
 
     has_time = True
-    # `features/flexray_tools/response_times.py` bounds frames, and knows their periods.
+    # A bound needs the periods of all frames, which a bus does not know.
     worst_access_us = nan
 
     def __init__(

@@ -1,35 +1,27 @@
 """Slot tables as files: which node sends how much in which slot, and how often.
 
-A TOML table is a list of `[[slots]]`, each with a line per field of `MessageSlot`. FIBEX and
-AUTOSAR files have a table in their frame triggerings.
+A TOML table is a list of `[[slots]]`, each with a line per field of `MessageSlot`. The exchange
+formats of clusters have slot tables, too.
 """
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from math import inf
 from pathlib import Path
 
 import msgspec
 
-from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster_files import ClusterFileFormat
 from concord.bus.flexray.frame import MAX_FRAME_ID
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.slot_table import REPETITIONS
-from concord.features.flexray_tools.files.arxml_slots import slots_from_arxml
-from concord.features.flexray_tools.files.fibex_slots import slots_from_fibex
-from concord.features.flexray_tools.files.xml_document import ClusterFileError
+from concord.entries import chosen, entries
 
 
 class SlotFileError(ValueError):
     """A slot table that cannot be read, or does not fit its cluster."""
-
-
-READERS: dict[str, Callable[[bytes, str | None], tuple[MessageSlot, ...]]] = {
-    ".xml": slots_from_fibex,
-    ".arxml": slots_from_arxml,
-}
-"""The readers of slot tables in exchange formats, by the ending of the file."""
 
 
 class _Table(msgspec.Struct, forbid_unknown_fields=True):
@@ -51,15 +43,14 @@ def slots_to_toml(slots: Sequence[MessageSlot]) -> str:
 def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
     """Read a slot table for a cluster, in order of frame IDs and base cycles.
 
-    Of the FlexRay clusters of a FIBEX or AUTOSAR file the only one counts, or that with the name
-    of the cluster.
+    Of the clusters of an exchange file the only one counts, or that with the name of the cluster.
 
     Raises:
         SlotFileError: the file cannot be read, or an entry breaks a rule of FlexRay.
     """
     try:
-        if path.suffix in READERS:
-            return _from_xml(path.read_bytes(), path.suffix, cluster)
+        if path.suffix in entries("CLUSTER_FILES"):
+            return _from_exchange_file(path.read_bytes(), path.suffix, cluster)
         return slots_from_toml(path.read_text(encoding="utf-8"), cluster)
     except OSError as error:
         raise SlotFileError(
@@ -71,12 +62,12 @@ def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
 
 # Kept: every node of a network reads the same table.
 @lru_cache(8)
-def _from_xml(data: bytes, ending: str, cluster: Cluster) -> tuple[MessageSlot, ...]:
-    read = READERS[ending]
+def _from_exchange_file(data: bytes, ending: str, cluster: Cluster) -> tuple[MessageSlot, ...]:
+    form: ClusterFileFormat = chosen("CLUSTER_FILES", ending)
     try:
-        slots = read(data, None)
-    except ClusterFileError:
-        slots = read(data, cluster.name)
+        slots = form.slots(data, None)
+    except ClusterError:
+        slots = form.slots(data, cluster.name)
     return checked_slots(slots, cluster)
 
 

@@ -25,12 +25,18 @@ from concord.bus.flexray.presets import preset
 from concord.bus.flexray.slot_file import read_slot_file, slots_from_toml, slots_to_toml
 from concord.bus.flexray.timing import segments
 from concord.bus.pcap import write_pcap
-from concord.features.flexray_tools.files.arxml import cluster_from_arxml
-from concord.features.flexray_tools.files.arxml_slots import slots_from_arxml
-from concord.features.flexray_tools.files.arxml_writing import arxml_with_slots, cluster_to_arxml
-from concord.features.flexray_tools.files.fibex import cluster_from_fibex
-from concord.features.flexray_tools.files.fibex_slots import slots_from_fibex
-from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex, fibex_with_slots
+from concord.features.flexray_tools.files.arxml import (
+    arxml_with_slots,
+    cluster_from_arxml,
+    cluster_to_arxml,
+    slots_from_arxml,
+)
+from concord.features.flexray_tools.files.fibex import (
+    cluster_from_fibex,
+    cluster_to_fibex,
+    fibex_with_slots,
+    slots_from_fibex,
+)
 from concord.features.flexray_tools.recordings.decoder import (
     DecodedFrame,
     Decoding,

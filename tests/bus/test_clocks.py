@@ -3,13 +3,10 @@
 import msgspec
 import pytest
 
-from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS, offset_correction_macroticks
+from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import cluster_from_toml, cluster_to_toml
 from concord.bus.flexray.levels import broken_rules, precision_us
 from concord.bus.flexray.presets import DEMO
-from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT, cluster_from_fibex
-from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex
 from tests.bus.support import broken
 
 PRODUCTION = Cluster(
@@ -50,21 +47,6 @@ PRODUCTION = Cluster(
 payload that fits its slot, and key slots."""
 
 
-@pytest.mark.parametrize("printed", ["1.375", "1.3751", "1.37513751375"])
-def test_production_clusters_are_read_with_the_macrotick_as_printed(printed: str):
-    """5 ms in 3,636 macroticks; the cycle is the truth in TOML and FIBEX."""
-    fibex = cluster_to_fibex(PRODUCTION)
-    toml = cluster_to_toml(PRODUCTION)
-    exact = repr(5000 / 3636)
-    assert exact in fibex and exact in toml
-    for cluster in (
-        cluster_from_fibex(fibex.replace(f">{exact}<", f">{printed}<")),
-        cluster_from_toml(toml.replace(exact, printed)),
-    ):
-        assert cluster == PRODUCTION
-        assert cluster.macrotick_us * 3636 == pytest.approx(5000, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("slots", "slot", "payload_words", "minislots", "minislot", "idle"),
     [(91, 24, 8, 289, 5, 7), (60, 43, 16, 210, 5, 6), (70, 31, 13, 291, 5, 11)],
@@ -86,18 +68,6 @@ def test_published_divisions_of_3636_macroticks_are_valid(
     )
     assert published.network_idle_time_macroticks == idle
     assert broken_rules(published)["2.1"] == broken_rules(published)["3.0.1"] == ()
-
-
-def test_published_offset_corrections_follow_from_equation_17(sample_fibex: str):
-    """Corrections of three published clusters begin where the formula has them begin."""
-    largest_us = 127 * 0.025 * 0.9985
-    assert offset_correction_macroticks(PRODUCTION, largest_us) == 3636 - 3632
-    sample = cluster_from_fibex(sample_fibex)
-    assert sample.offset_correction_us == pytest.approx(6.449)
-    assert sample.offset_correction_start_macroticks == 4987
-    assert offset_correction_macroticks(sample, 6.449) == 5000 - 4987
-    # CTU-IIG's calculator: 4.406 us take 9 macroticks of 1 us.
-    assert offset_correction_macroticks(DEMO, 4.406) == 9
 
 
 @pytest.mark.parametrize("field", CLOCK_PARAMETERS)
@@ -131,13 +101,6 @@ def test_each_stated_parameter_keeps_its_range_and_may_be_left_out(field: str):
 )
 def test_constraints_between_clock_parameters_are_refused_with_a_cure(fields, said):
     assert said in broken(PRODUCTION, **fields)
-
-
-def test_clock_parameters_survive_both_formats():
-    stated = msgspec.structs.replace(PRODUCTION, precision_us=2.65, propagation_delay_us=0.25)
-    assert cluster_from_toml(cluster_to_toml(stated)) == stated
-    open_again = msgspec.structs.replace(stated, **dict.fromkeys(WITHOUT_ELEMENT))
-    assert cluster_from_fibex(cluster_to_fibex(stated)) == open_again
 
 
 def test_propagation_delay_lengthens_the_static_slot():
@@ -190,42 +153,3 @@ def test_the_physical_level_needs_slots_for_clocks_that_differ():
     )
     (idle,) = broken_rules(short)["physical"]
     assert "gdNIT" in idle and "needs 4" in idle
-
-
-def two_clusters() -> str:
-    """A document of two clusters, whose controllers hang on their own channels."""
-    silent = msgspec.structs.replace(PRODUCTION, channels="A", sync_slots=(), startup_slots=())
-    text = cluster_to_fibex(silent)
-    other = cluster_to_fibex(DEMO)
-    for word in ("cluster", "channel_A", "controller", "ecu"):
-        other = other.replace(f'"{word}', f'"other_{word}')
-    connector = (
-        '<fx:CONNECTORS><fx:CONNECTOR ID="{0}connector"><fx:CHANNEL-REF ID-REF="{0}channel_A"/>'
-        '<fx:CONTROLLER-REF ID-REF="{0}controller"/></fx:CONNECTOR></fx:CONNECTORS></fx:ECU>'
-    )
-
-    def part(document: str, name: str) -> str:
-        return document[document.index(f"<fx:{name}>") :].split(f"</fx:{name}>")[0]
-
-    text = text.replace("</fx:ECU>", connector.format(""))
-    other = other.replace("</fx:ECU>", connector.format("other_"))
-    for name in ("CLUSTERS", "CHANNELS", "ECUS"):
-        inside = part(other, name).removeprefix(f"<fx:{name}>")
-        text = text.replace(f"</fx:{name}>", f"{inside}</fx:{name}>")
-    return text
-
-
-def test_controllers_belong_to_the_cluster_of_their_channels():
-    text = two_clusters()
-    assert cluster_from_fibex(text, "demo").latest_transmission_minislot == 516
-    assert cluster_from_fibex(text, "production").latest_transmission_minislot == 249
-
-
-def test_a_microtick_may_be_given_in_sample_clock_periods():
-    text = cluster_to_fibex(DEMO)
-    period = "<flexray:SAMPLE-CLOCK-PERIOD>0.0125</flexray:SAMPLE-CLOCK-PERIOD><flexray:BIT>"
-    samples = "<flexray:SAMPLES-PER-MICROTICK>1</flexray:SAMPLES-PER-MICROTICK>"
-    text = text.replace("<flexray:BIT>", period).replace("400000", "800000")
-    text = text.replace("<flexray:MICROTICK>0.025</flexray:MICROTICK>", samples)
-    cluster = cluster_from_fibex(text)
-    assert (cluster.microtick_us, cluster.microticks_per_cycle) == (0.0125, 800000)

@@ -16,7 +16,6 @@ from concord.bus.pcap import (
     packet,
     write_pcap,
 )
-from concord.features.flexray_tools.recordings.decoder import Decoding
 from tests.bus.support import frames, quick
 from tests.features.flexray_tools.flexray_support import dissect
 
@@ -114,17 +113,6 @@ def test_wireshark_sees_what_was_sent(tmp_path: Path):
         [True, False],
         [True, True],
     ]
-
-
-@needs_tshark
-def test_wireshark_opens_the_recording_of_the_car_without_complaint(audi: Decoding, tmp_path: Path):
-    path = tmp_path / "car.pcap"
-    write_pcap(path, (Captured(f.start_us, encode(f.frame)) for f in audi.frames))
-    rows = dissect(path, "flexray.fid", "flexray.cc", "flexray.eff", "_ws.malformed", "_ws.expert")
-    assert [(int(row[0]), int(row[1])) for row in rows] == [
-        (f.frame.frame_id, f.frame.cycle_count) for f in audi.frames
-    ]
-    assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
 
 
 @needs_tshark

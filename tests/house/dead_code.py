@@ -9,7 +9,7 @@ from tests.house.sources import ROOT, Source, imported_modules
 
 # Entry points: files that a user, the Makefile or another process starts by name.
 _STARTED = re.compile(
-    r"(.*/__main__|launch_local|concord/.*|experiments/cli/.*|papers/\w+/reproduce|benchmarks/.*"
+    r"(.*/__main__|launch_local|concord/.*|experiments/cli/.*|papers/(\w+/)?reproduce|benchmarks/.*"
     r"|docs/.*|examples/.*)\.py"
 )
 # A class with another base may have methods that the library of this base calls.

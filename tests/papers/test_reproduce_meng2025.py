@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import xarray
 
-from concord.experiments.cli.reproduce import carry_out
 from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.meng2025 import SYSTEM
 from concord.papers.kit.judging import Figures
@@ -27,6 +26,7 @@ from concord.papers.meng2025.runs import (
 )
 from concord.papers.meng2025.runs import carry_out as estimate_by
 from concord.papers.meng2025.table import EstimatorRow, row
+from concord.papers.reproduce import carry_out
 from concord.results.figures.intervals import Interval
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory

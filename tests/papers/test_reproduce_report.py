@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.experiments.cli import reproduce
-from concord.experiments.cli.reproduce import carry_out
+from concord.papers import reproduce
 from concord.papers.kit.judging import (
     Check,
     Claim,
@@ -25,6 +24,7 @@ from concord.papers.kit.judging import (
     verdict_of,
 )
 from concord.papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
+from concord.papers.reproduce import carry_out
 from concord.results.figures.intervals import Interval, mean_t
 
 pytestmark = pytest.mark.slow

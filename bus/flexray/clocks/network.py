@@ -18,11 +18,10 @@ from concord.bus.flexray.clocks.correction import (
     CycleTiming,
     Deviations,
     corrections,
-    instant,
     measure,
     next_cycle,
 )
-from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
+from concord.bus.flexray.clocks.settings import ClockSettings, Mask
 
 
 class ClusterClocks(NamedTuple):
@@ -77,19 +76,3 @@ def run_cycle(
         network.cycle + 1, after, after_pair(settings, network.controllers, done), None
     )
     return following, Passed(measured, done)
-
-
-def spread_us(settings: ClockSettings, network: ClusterClocks, counted: Mask) -> float:
-    """Return the largest difference of two active nodes' clocks in a cycle, in microseconds, over
-    the nodes that are `counted` (N,).
-
-    Clocks run evenly from the start of the cycle to the offset correction, so the largest
-    difference is at either of them.
-    """
-    active = counted & (network.controllers.state == PocState.ACTIVE)
-    if active.sum() < 2:
-        return 0.0
-    timing = network.timing
-    late = instant(settings, timing, settings.correction_start)
-    most = max(int(np.ptp(timing.start[active])), int(np.ptp(late[active])))
-    return most / TICK * settings.microtick_us

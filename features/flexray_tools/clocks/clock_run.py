@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from concord.bus.arbitration import Numbers
 from concord.bus.flexray.clocks.controller_states import PocState
-from concord.bus.flexray.clocks.correction import periods
-from concord.bus.flexray.clocks.network import ClusterClocks, Passed, run_cycle, spread_us
+from concord.bus.flexray.clocks.correction import instant, periods
+from concord.bus.flexray.clocks.network import ClusterClocks, Passed, run_cycle
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
 from concord.features.flexray_tools.clocks.startup import ColdStart
 
@@ -129,3 +129,19 @@ class _Delays:
         delays = self._cable.copy()
         delays[:, self._liars] += lies
         return delays
+
+
+def spread_us(settings: ClockSettings, network: ClusterClocks, counted: Mask) -> float:
+    """Return the largest difference of two active nodes' clocks in a cycle, in microseconds, over
+    the nodes that are `counted` (N,).
+
+    Clocks run evenly from the start of the cycle to the offset correction, so the largest
+    difference is at either of them.
+    """
+    active = counted & (network.controllers.state == PocState.ACTIVE)
+    if active.sum() < 2:
+        return 0.0
+    timing = network.timing
+    late = instant(settings, timing, settings.correction_start)
+    most = max(int(np.ptp(timing.start[active])), int(np.ptp(late[active])))
+    return most / TICK * settings.microtick_us

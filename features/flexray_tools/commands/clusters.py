@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
 from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments
@@ -88,7 +88,7 @@ def read_cluster(source: str, name: str | None = None) -> Cluster:
     path = Path(source)
     if source in PRESETS:
         return preset(source)
-    if path.suffix not in FILE_ENDINGS:
+    if path.suffix not in file_endings():
         raise ValueError(
             f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml, "
             "*.xml (FIBEX) or *.arxml (AUTOSAR)"

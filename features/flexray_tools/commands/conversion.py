@@ -9,21 +9,16 @@ import msgspec
 import tyro
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml
+from concord.bus.flexray.cluster_files import cluster_to_toml, file_endings
 from concord.bus.flexray.message_slot import MessageSlot
-from concord.bus.flexray.slot_file import (
-    READERS,
-    SlotFileError,
-    read_slot_file,
-    slots_to_toml,
-)
+from concord.bus.flexray.slot_file import SlotFileError, read_slot_file, slots_to_toml
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster, write_new
 from concord.features.flexray_tools.files.arxml import WITHOUT_ELEMENT as NOT_IN_ARXML
-from concord.features.flexray_tools.files.arxml_writing import arxml_with_slots, cluster_to_arxml
+from concord.features.flexray_tools.files.arxml import arxml_with_slots, cluster_to_arxml
+from concord.features.flexray_tools.files.exchange import without_element
 from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT as NOT_IN_FIBEX
-from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex, fibex_with_slots
-from concord.features.flexray_tools.files.frame_triggerings import without_element
+from concord.features.flexray_tools.files.fibex import cluster_to_fibex, fibex_with_slots
 from concord.features.flexray_tools.files.xml_document import document_text, parse_document
 
 
@@ -101,7 +96,7 @@ def _converted(
     Raises:
         ValueError: a file cannot be read, or its name tells no format.
     """
-    if target.suffix not in FILE_ENDINGS:
+    if target.suffix not in file_endings():
         raise ValueError(
             f"{target}: cannot tell the format; call it *.toml, *.xml (FIBEX) or *.arxml (AUTOSAR)"
         )
@@ -109,7 +104,7 @@ def _converted(
     table: tuple[MessageSlot, ...] = ()
     if slots is not None:
         table = read_slot_file(slots, cluster)
-    elif path.suffix in READERS and path.is_file():
+    elif path.suffix in _FORMATS and path.is_file():
         try:
             table = read_slot_file(path, cluster)
         except SlotFileError as error:

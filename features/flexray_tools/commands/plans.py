@@ -9,7 +9,6 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from concord.bus.flexray.timeline import timeline
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import ranges, write_new
@@ -22,6 +21,7 @@ from concord.features.flexray_tools.commands.plan_report import (
     with_cluster,
 )
 from concord.features.flexray_tools.commands.rehearsal import rehearse
+from concord.features.flexray_tools.timeline import timeline
 from concord.results.bus import bus_report
 from concord.results.bus.bus_report import timetable
 from concord.scenarios.build import build_bus

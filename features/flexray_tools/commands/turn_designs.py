@@ -20,13 +20,17 @@ from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster, write_new
 from concord.features.flexray_tools.commands.rehearsal import prepare_without_bus
+from concord.features.flexray_tools.slot_design.aged_readings import (
+    LinearSensing,
+    aged_cov,
+    steady_cov,
+)
 from concord.features.flexray_tools.slot_design.turns import (
     CycleTurn,
     best_turns,
     equal_turns,
     places_of_turns,
 )
-from concord.features.measurement_bus.aged_readings import LinearSensing, aged_cov, steady_cov
 from concord.nodes.messages import from_wire
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.observability import jacobian, told

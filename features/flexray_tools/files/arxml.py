@@ -1,129 +1,236 @@
-"""Clusters in AUTOSAR's exchange format (ARXML, classic platform, schema 4).
+"""AUTOSAR's exchange format (ARXML, classic platform, schema 4; written as schema 4.3).
 
-Reads a FLEXRAY-CLUSTER and the FLEXRAY-COMMUNICATION-CONTROLLERs whose connectors are on its
-channels. Times are printed in seconds there. Variants, signals and wake-up are left alone.
+A document has a FLEXRAY-CLUSTER, the FLEXRAY-COMMUNICATION-CONTROLLERs whose connectors are on its
+channels, and the frames that ECUs send. Times are printed in seconds there. Variants and wake-up
+are left alone, and signals and PDUs are not written. Elements stand in the order of the schema.
 """
 
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
-from concord.bus.flexray.cluster import Cluster, ClusterError
-from concord.features.flexray_tools.files.usual_values import with_usual_values
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_files import ClusterFileFormat
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.features.flexray_tools.files.exchange import (
+    Format,
+    ecu_name,
+    find_cluster,
+    frame_name,
+    read_cluster,
+    read_slots,
+)
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     Element,
-    Tag,
-    bit_rate_mbps,
-    chosen_cluster,
+    XmlDocument,
+    add,
+    as_number,
+    document_text,
+    in_seconds,
     microseconds,
-    missing_elements,
     number,
     parse_document,
 )
 
 AR = "{http://autosar.org/schema/r4.0}"
-
-
-CLUSTER_TAGS = (
-    Tag("ACTION-POINT-OFFSET", "action_point_macroticks"),
-    Tag("CYCLE", "cycle_us", float),
-    Tag("DYNAMIC-SLOT-IDLE-PHASE", "dynamic_slot_idle_phase_minislots"),
-    Tag("MACRO-PER-CYCLE", "macroticks_per_cycle"),
-    Tag("MACROTICK-DURATION", "macrotick_us", float),
-    Tag("MINISLOT-ACTION-POINT-OFFSET", "minislot_action_point_macroticks"),
-    Tag("MINISLOT-DURATION", "minislot_macroticks"),
-    Tag("NETWORK-IDLE-TIME", "network_idle_time_macroticks"),
-    Tag("NUMBER-OF-MINISLOTS", "minislots"),
-    Tag("NUMBER-OF-STATIC-SLOTS", "static_slots"),
-    Tag("PAYLOAD-LENGTH-STATIC", "static_payload_words"),
-    Tag("STATIC-SLOT-DURATION", "static_slot_macroticks"),
-    Tag("SYMBOL-WINDOW", "symbol_window_macroticks"),
-    Tag("TRANSMISSION-START-SEQUENCE-DURATION", "transmission_start_bits"),
-)
-CLOCK_TAGS = (
-    Tag("COLD-START-ATTEMPTS", "cold_start_attempts"),
-    Tag("LISTEN-NOISE", "listen_noise"),
-    Tag("MAX-WITHOUT-CLOCK-CORRECTION-FATAL", "halt_after_cycle_pairs"),
-    Tag("MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", "passive_after_cycle_pairs"),
-    Tag("OFFSET-CORRECTION-START", "offset_correction_start_macroticks"),
-    Tag("SYNC-FRAME-ID-COUNT-MAX", "sync_nodes_most"),
-)
-CONTROLLER_TAGS = (
-    Tag("ACCEPTED-STARTUP-RANGE", "startup_range_microticks"),
-    Tag("CLUSTER-DRIFT-DAMPING", "drift_damping_microticks"),
-    Tag("LATEST-TX", "latest_transmission_minislot"),
-    Tag("LISTEN-TIMEOUT", "listen_timeout_microticks"),
-    Tag("MAXIMUM-DYNAMIC-PAYLOAD-LENGTH", "dynamic_payload_words"),
-    Tag("MICRO-PER-CYCLE", "microticks_per_cycle"),
-    Tag("MICROTICK-DURATION", "microtick_us", float),
-    Tag("OFFSET-CORRECTION-OUT", "offset_correction_microticks"),
-    Tag("RATE-CORRECTION-OUT", "rate_correction_microticks"),
-)
-WITHOUT_ELEMENT = (
-    "precision_us", "propagation_delay_us", "offset_correction_us", "drift_microticks"
+_HEAD = """<AUTOSAR xmlns="http://autosar.org/schema/r4.0"
+ xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"
+ xsi:schemaLocation="http://autosar.org/schema/r4.0 AUTOSAR_00044.xsd"><AR-PACKAGES/></AUTOSAR>"""
+_SLOTS = "concord_slots"
+_NAMES = tuple(
+    AR + tag
+    for tag in (
+        "SHORT-NAME", "SHORT-NAME-FRAGMENTS", "LONG-NAME", "DESC", "CATEGORY", "ADMIN-DATA",
+        "INTRODUCTION", "ANNOTATIONS",
+    )
 )  # fmt: skip
-"""Fields of a cluster for which AUTOSAR has no element."""
-# Nodes of a cluster share these; of the others the widest counts.
-_EARLIEST = ("latest_transmission_minislot",)
-_FIRST = ("microticks_per_cycle", "microtick_us")
 
 
 def cluster_from_arxml(text: str | bytes, name: str | None = None) -> Cluster:
-    """Return the FlexRay cluster of an ARXML document; `name` chooses where there are several.
+    """Return the FlexRay cluster of an ARXML document, as `read_cluster`."""
+    return read_cluster(_FORMAT, text, name)
 
-    A file without controllers leaves fields open, which get the usual values as in FIBEX.
 
-    Raises:
-        ClusterFileError: the document is not well-formed, declares a document type, or has missing
-            or contradictory elements.
-    """
-    root = parse_document(text, "ARXML").root
-    cluster = flexray_cluster(root, name)
-    title = _title(cluster)
-    where = f"cluster {title!r}"
-    values = conditional(cluster, "FLEXRAY-CLUSTER")
-    _check_complete(values, where)
-    count = number(values, f"{AR}CYCLE-COUNT-MAX", int, where)
-    rate, bit_s = (number(values, AR + tag, float, where) for tag in ("BAUDRATE", "BIT"))
-    fields: dict[str, Any] = {
-        "name": title,
-        "channels": "".join(sorted(letter for _, letter in channels_of(cluster, where))),
-        "bit_rate_mbps": bit_rate_mbps(rate, microseconds(bit_s or 0.0), "BAUDRATE", where),
-        "number_of_cycles": 64 if count is None else 1 + count,
-        **{tag.field: _value(values, tag, where) for tag in CLUSTER_TAGS + CLOCK_TAGS},
+def slots_from_arxml(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
+    """Return the slot table of an ARXML document, as `read_slots`."""
+    return read_slots(_FORMAT, text, name)
+
+
+def cluster_to_arxml(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str:
+    """Return the ARXML document of a cluster, with an ECU that has the nodes' parameters and the
+    key slots, and one for each node that sends. The fields in `WITHOUT_ELEMENT` are left out."""
+    document = parse_document(_HEAD, "ARXML")
+    elements = _package(document.root, "concord")
+    named = _identifier(cluster.name)
+    controllers = _add_controllers(elements, cluster)
+    element = _named(elements, "FLEXRAY-CLUSTER", named)
+    if named != cluster.name:
+        add(add(element, f"{AR}LONG-NAME"), f"{AR}L-4", cluster.name, L="FOR-ALL")
+    variants = add(element, f"{AR}FLEXRAY-CLUSTER-VARIANTS")
+    values = add(variants, f"{AR}FLEXRAY-CLUSTER-CONDITIONAL")
+    add(values, f"{AR}BAUDRATE", round(cluster.bit_rate_mbps * 1e6))
+    channels = add(values, f"{AR}PHYSICAL-CHANNELS")
+    for letter in cluster.channels:
+        channel = _named(channels, "FLEXRAY-PHYSICAL-CHANNEL", f"channel_{letter}")
+        connectors = add(channel, f"{AR}COMM-CONNECTORS")
+        for name in controllers:
+            _refer_to_connector(connectors, f"/concord/node/connector_{name}_{letter}")
+        add(channel, f"{AR}CHANNEL-NAME", f"CHANNEL-{letter}")
+    stated: dict[str, object] = {
+        "BIT": in_seconds(cluster.bit_us),
+        "CYCLE-COUNT-MAX": cluster.number_of_cycles - 1,
+        **dict(_FORMAT.stated(cluster, "cluster", "clocks")),
     }
-    period_s = number(values, f"{AR}SAMPLE-CLOCK-PERIOD", float, where) or 0.0
-    fields |= _controller_fields(_controllers(root, cluster, where), period_s)
-    try:
-        return with_usual_values(fields)
-    except ClusterError as error:
-        tags = [tag.name for tag in CLUSTER_TAGS + CLOCK_TAGS if tag.field in str(error)]
-        tags += [tag.name for tag in CONTROLLER_TAGS if tag.field in str(error)]
-        names = ", ".join(tags) or "SHORT-NAME"
-        raise ClusterFileError(f"{error} (AUTOSAR elements: {names})") from error
+    for tag, value in sorted(stated.items()):
+        add(values, AR + tag, value)
+    _put_slots(document, element, slots)
+    return document_text(document)
 
 
-def flexray_cluster(root: Element, name: str | None) -> Element:
-    """Return the FLEXRAY-CLUSTER of a document.
+def arxml_with_slots(
+    text: str | bytes, slots: Sequence[MessageSlot], name: str | None = None
+) -> str:
+    """Return an ARXML document with other frames on the channels of its cluster.
 
-    Raises:
-        ClusterFileError: there is none, or several and no name.
-    """
-    clusters = {_title(one): one for one in root.iter(f"{AR}FLEXRAY-CLUSTER")}
-    cure = (
-        "<FLEXRAY-CLUSTER> of the name space http://autosar.org/schema/r4.0; export the system "
-        "with its FlexRay cluster"
-    )
-    return chosen_cluster(clusters, name, "FLEXRAY-CLUSTER", cure)
-
-
-def short_name(element: Element) -> str:
-    """Return the SHORT-NAME of an element.
+    Everything else is kept: signals, PDUs, and frames that no triggering names any more.
 
     Raises:
-        ClusterFileError: it is missing or empty.
+        ClusterFileError: the document describes no cluster, or several and no name.
     """
+    document = parse_document(text, "ARXML")
+    _put_slots(document, find_cluster(_FORMAT, document.root, name), slots)
+    return document_text(document)
+
+
+def _put_slots(document: XmlDocument, cluster: Element, slots: Sequence[MessageSlot]) -> None:
+    channels = _channels(document.root, cluster)
+    _remove_slots(document.root, [channel for channel, _ in channels])
+    if not slots:
+        return
+    elements = _package(document.root, _SLOTS)
+    for slot in slots:
+        frame = _named(elements, "FLEXRAY-FRAME", frame_name(slot))
+        add(frame, f"{AR}FRAME-LENGTH", slot.payload_bytes)
+    for node in sorted({slot.node for slot in slots}):
+        _add_sender(elements, node, [slot for slot in slots if slot.node == node])
+    for channel, letter in channels:
+        sent = [slot for slot in slots if letter in slot.channel]
+        connectors = _after_name(channel, "COMM-CONNECTORS")
+        for node in sorted({slot.node for slot in sent}):
+            name = ecu_name(node)
+            _refer_to_connector(connectors, f"/{_SLOTS}/{name}/connector_{letter}")
+        triggerings = Element(f"{AR}FRAME-TRIGGERINGS")
+        channel.insert(list(channel).index(connectors) + 1, triggerings)
+        for slot in sent:
+            _trigger(triggerings, slot, letter)
+
+
+def _remove_slots(root: Element, channels: Sequence[Element]) -> None:
+    """Remove the triggerings of channels, and the package of a table that was put in before."""
+    for packages in root.findall(f"{AR}AR-PACKAGES"):
+        for old in [one for one in packages if one.findtext(f"{AR}SHORT-NAME") == _SLOTS]:
+            packages.remove(old)
+    for channel in channels:
+        for triggerings in channel.findall(f"{AR}FRAME-TRIGGERINGS"):
+            channel.remove(triggerings)
+        for connectors in channel.findall(f"{AR}COMM-CONNECTORS"):
+            for one in list(connectors):
+                if any((reference.text or "").startswith(f"/{_SLOTS}/") for reference in one):
+                    connectors.remove(one)
+
+
+def _trigger(triggerings: Element, slot: MessageSlot, letter: str) -> None:
+    name = frame_name(slot)
+    one = _named(triggerings, "FLEXRAY-FRAME-TRIGGERING", f"triggering_{name}_{letter}")
+    port = f"/{_SLOTS}/{ecu_name(slot.node)}/connector_{letter}/port_{name}"
+    add(add(one, f"{AR}FRAME-PORT-REFS"), f"{AR}FRAME-PORT-REF", port, DEST="FRAME-PORT")
+    add(one, f"{AR}FRAME-REF", f"/{_SLOTS}/{name}", DEST="FLEXRAY-FRAME")
+    timings = add(one, f"{AR}ABSOLUTELY-SCHEDULED-TIMINGS")
+    timing = add(timings, f"{AR}FLEXRAY-ABSOLUTELY-SCHEDULED-TIMING")
+    turn = add(add(timing, f"{AR}COMMUNICATION-CYCLE"), f"{AR}CYCLE-REPETITION")
+    add(turn, f"{AR}BASE-CYCLE", slot.base_cycle)
+    add(turn, f"{AR}CYCLE-REPETITION", f"CYCLE-REPETITION-{slot.repetition}")
+    add(timing, f"{AR}SLOT-ID", slot.frame_id)
+
+
+def _add_sender(elements: Element, node: int, slots: Sequence[MessageSlot]) -> None:
+    """Add the ECU of a node, with a connector to each of its channels and a port for each frame."""
+    ecu = _named(elements, "ECU-INSTANCE", ecu_name(node))
+    controllers = add(ecu, f"{AR}COMM-CONTROLLERS")
+    _named(controllers, "FLEXRAY-COMMUNICATION-CONTROLLER", "controller")
+    connectors = add(ecu, f"{AR}CONNECTORS")
+    for letter in sorted({letter for slot in slots for letter in slot.channel}):
+        path = f"/{_SLOTS}/{ecu_name(node)}/controller"
+        connector = _connector(connectors, f"connector_{letter}", path)
+        ports = add(connector, f"{AR}ECU-COMM-PORT-INSTANCES")
+        for slot in slots:
+            if letter in slot.channel:
+                port = _named(ports, "FRAME-PORT", f"port_{frame_name(slot)}")
+                add(port, f"{AR}COMMUNICATION-DIRECTION", "OUT")
+
+
+def _add_controllers(elements: Element, cluster: Cluster) -> list[str]:
+    """Add the ECU with the nodes' parameters and a controller for each key slot; return their
+    names."""
+    ecu = _named(elements, "ECU-INSTANCE", "node")
+    controllers, connectors = add(ecu, f"{AR}COMM-CONTROLLERS"), add(ecu, f"{AR}CONNECTORS")
+    stated: dict[str, dict[str, object]] = {
+        "controller": dict(_FORMAT.stated(cluster, "controller"))
+    }
+    for slot in cluster.sync_slots:
+        stated[f"controller_{slot}"] = {
+            "KEY-SLOT-ID": slot,
+            "KEY-SLOT-USED-FOR-START-UP": str(slot in cluster.startup_slots).lower(),
+            "KEY-SLOT-USED-FOR-SYNC": "true",
+        }
+    for name, values in stated.items():
+        controller = _named(controllers, "FLEXRAY-COMMUNICATION-CONTROLLER", name)
+        variants = add(controller, f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER-VARIANTS")
+        values_of = add(variants, f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER-CONDITIONAL")
+        for tag, value in sorted(values.items()):
+            add(values_of, AR + tag, value)
+        for letter in cluster.channels:
+            _connector(connectors, f"connector_{name}_{letter}", f"/concord/node/{name}")
+    return list(stated)
+
+
+def _connector(connectors: Element, name: str, controller: str) -> Element:
+    connector = _named(connectors, "FLEXRAY-COMMUNICATION-CONNECTOR", name)
+    kind = "FLEXRAY-COMMUNICATION-CONTROLLER"
+    add(connector, f"{AR}COMM-CONTROLLER-REF", controller, DEST=kind)
+    return connector
+
+
+def _refer_to_connector(connectors: Element, path: str) -> None:
+    conditional = add(connectors, f"{AR}COMMUNICATION-CONNECTOR-REF-CONDITIONAL")
+    kind = "FLEXRAY-COMMUNICATION-CONNECTOR"
+    add(conditional, f"{AR}COMMUNICATION-CONNECTOR-REF", path, DEST=kind)
+
+
+def _package(root: Element, name: str) -> Element:
+    packages = root.find(f"{AR}AR-PACKAGES")
+    if packages is None:
+        packages = add(root, f"{AR}AR-PACKAGES")
+    return add(_named(packages, "AR-PACKAGE", name), f"{AR}ELEMENTS")
+
+
+def _named(parent: Element, tag: str, name: str) -> Element:
+    element = add(parent, AR + tag)
+    add(element, f"{AR}SHORT-NAME", name)
+    return element
+
+
+def _after_name(element: Element, tag: str) -> Element:
+    """Return a child that the schema has right after the names; it is added where it is missing."""
+    found = element.find(AR + tag)
+    if found is None:
+        found = Element(AR + tag)
+        names = [child for child in element if child.tag in _NAMES]
+        element.insert(len(names), found)
+    return found
+
+
+def _short_name(element: Element) -> str:
     text = element.findtext(f"{AR}SHORT-NAME", "").strip()
     if not text:
         kind = element.tag.rpartition("}")[2]
@@ -131,7 +238,7 @@ def short_name(element: Element) -> str:
     return text
 
 
-def identifier(name: str) -> str:
+def _identifier(name: str) -> str:
     """Return the SHORT-NAME for a name: letters, digits and underscores, 128 at most."""
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:127]
     return plain if plain[:1].isalpha() else f"c{plain}"
@@ -139,61 +246,37 @@ def identifier(name: str) -> str:
 
 def _title(cluster: Element) -> str:
     """Return the name of a cluster: its LONG-NAME, where the SHORT-NAME cannot spell it."""
-    name = short_name(cluster)
+    name = _short_name(cluster)
     long = cluster.findtext(f"{AR}LONG-NAME/{AR}L-4", "")
-    return long if identifier(long) == name else name
+    return long if _identifier(long) == name else name
 
 
-def conditional(element: Element, kind: str) -> Element:
-    """Return the element with the values of a cluster or controller: its only variant, or itself.
-
-    Raises:
-        ClusterFileError: it has several variants.
-    """
+def _conditional(element: Element, kind: str) -> Element:
+    """Return the element with the values of a cluster or controller: its variant, or itself."""
     variants = element.findall(f"{AR}{kind}-VARIANTS/{AR}{kind}-CONDITIONAL")
     if len(variants) > 1:
         raise ClusterFileError(
-            f"<{kind}> {short_name(element)!r}: it has {len(variants)} variants; export one of them"
+            f"<{kind}> {_short_name(element)!r}: it has {len(variants)} variants; export one of "
+            "them"
         )
     return variants[0] if variants else element
 
 
-def channels_of(cluster: Element, where: str) -> list[tuple[Element, str]]:
-    """Return the physical channels of a cluster, each with its letter.
-
-    Raises:
-        ClusterFileError: there is none, or one is neither A nor B.
-    """
+def _channels(root: Element, cluster: Element, where: str = "cluster") -> list[tuple[Element, str]]:
+    """Return the physical channels of a cluster, each with its letter."""
     found: list[tuple[Element, str]] = []
     for channel in cluster.iter(f"{AR}FLEXRAY-PHYSICAL-CHANNEL"):
         letter = channel.findtext(f"{AR}CHANNEL-NAME", "").strip().removeprefix("CHANNEL-")
         if letter not in ("A", "B"):
             raise ClusterFileError(
-                f"{where}: channel {short_name(channel)!r} has <CHANNEL-NAME> {letter!r}; it must "
+                f"{where}: channel {_short_name(channel)!r} has <CHANNEL-NAME> {letter!r}; it must "
                 "be CHANNEL-A or CHANNEL-B"
             )
         found.append((channel, letter))
     return found
 
 
-def _check_complete(values: Element, where: str) -> None:
-    missing = [
-        f"<{tag.name}> ({tag.field})" for tag in CLUSTER_TAGS if values.find(AR + tag.name) is None
-    ]
-    if next(values.iter(f"{AR}FLEXRAY-PHYSICAL-CHANNEL"), None) is None:
-        missing.append("<FLEXRAY-PHYSICAL-CHANNEL> (with <CHANNEL-NAME> CHANNEL-A or CHANNEL-B)")
-    if values.find(f"{AR}BAUDRATE") is None and values.find(f"{AR}BIT") is None:
-        missing.append("<BAUDRATE> or <BIT> (the bit rate)")
-    if missing:
-        raise missing_elements(where, missing, "FLEXRAY-CLUSTER-CONDITIONAL")
-
-
-def _value(element: Element, tag: Tag, where: str) -> Any:
-    found = number(element, AR + tag.name, tag.kind, where)
-    return microseconds(found) if found is not None and tag.kind is float else found
-
-
-def paths_of(root: Element) -> dict[str, Element]:
+def _paths(root: Element) -> dict[str, Element]:
     """Return the elements with a SHORT-NAME by their paths, as references name them."""
     found: dict[str, Element] = {}
     waiting = [(root, "")]
@@ -209,9 +292,9 @@ def paths_of(root: Element) -> dict[str, Element]:
 
 def _controllers(root: Element, cluster: Element, where: str) -> list[Element]:
     """Return the controllers whose connectors are on the channels; all where none is connected."""
-    named = paths_of(root)
+    named = _paths(root)
     connected = []
-    for channel, _ in channels_of(cluster, where):
+    for channel, _ in _channels(root, cluster, where):
         for reference in channel.iter(f"{AR}COMMUNICATION-CONNECTOR-REF"):
             connector = named.get((reference.text or "").strip())
             if connector is not None:
@@ -219,34 +302,99 @@ def _controllers(root: Element, cluster: Element, where: str) -> list[Element]:
                 connected += [named[path]] if path in named else []
     every = list(root.iter(f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER"))
     kept = [one for one in every if one in connected or not connected]
-    return [conditional(one, "FLEXRAY-COMMUNICATION-CONTROLLER") for one in kept]
+    return [_conditional(one, "FLEXRAY-COMMUNICATION-CONTROLLER") for one in kept]
 
 
-def _controller_fields(controllers: Sequence[Element], period_s: float) -> dict[str, Any]:
-    """Return the controllers' values as those of FIBEX: the earliest, the first or the widest."""
-    found: dict[str, Any] = {}
-    for tag in CONTROLLER_TAGS:
-        stated = [_value(one, tag, "controller") for one in controllers]
-        values = [value for value in stated if value is not None]
-        if values:
-            first = values[0] if tag.field in _FIRST else max(values)
-            found[tag.field] = min(values) if tag.field in _EARLIEST else first
-    samples = [number(one, f"{AR}SAMPLES-PER-MICROTICK", int, "controller") for one in controllers]
-    if "microtick_us" not in found and samples[:1] not in ([], [None]) and period_s:
-        found["microtick_us"] = round(microseconds(period_s) * samples[0], 9)
-    sync = _key_slots(controllers, "KEY-SLOT-USED-FOR-SYNC")
-    startup = _key_slots(controllers, "KEY-SLOT-USED-FOR-START-UP")
-    found["sync_slots"] = tuple(sorted({*sync, *startup}))
-    found["startup_slots"] = tuple(startup)
-    return found
+def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:
+    found: list[list[int]] = []
+    for usage in ("KEY-SLOT-USED-FOR-SYNC", "KEY-SLOT-USED-FOR-START-UP"):
+        slots = {
+            number(one, f"{AR}KEY-SLOT-ID", int, "controller")
+            for one in controllers
+            if one.findtext(AR + usage, "").strip().lower() in ("true", "1")
+        }
+        if None in slots:
+            raise ClusterFileError(f"controller: <{usage}> is true, but <KEY-SLOT-ID> is missing")
+        found.append(sorted(slots))
+    return found[0], found[1]
 
 
-def _key_slots(controllers: Sequence[Element], usage: str) -> list[int]:
-    slots = {
-        number(one, f"{AR}KEY-SLOT-ID", int, "controller")
-        for one in controllers
-        if one.findtext(AR + usage, "").strip().lower() in ("true", "1")
-    }
-    if None in slots:
-        raise ClusterFileError(f"controller: <{usage}> is true, but <KEY-SLOT-ID> is missing")
-    return sorted(slots)
+def _frames(root: Element) -> Callable[[Element], tuple[str, str | None, int | None, str]]:
+    named = _paths(root)
+
+    def frame_of(triggering: Element) -> tuple[str, str | None, int | None, str]:
+        where = f"frame triggering {_short_name(triggering)!r}"
+        path = triggering.findtext(f"{AR}FRAME-REF", "").strip()
+        frame = named.get(path)
+        length = None if frame is None else number(frame, f"{AR}FRAME-LENGTH", int, where)
+        return where, path, length, _sender(triggering, named)
+
+    return frame_of
+
+
+def _sender(element: Element, named: Mapping[str, Element]) -> str:
+    """Return the ECU with the output port of a triggering, "" where no port is one."""
+    for reference in element.iter(f"{AR}FRAME-PORT-REF"):
+        path = (reference.text or "").strip()
+        port = named.get(path)
+        if port is not None and port.findtext(f"{AR}COMMUNICATION-DIRECTION", "").strip() == "OUT":
+            above = path
+            while above:
+                above = above.rpartition("/")[0]
+                if above in named and named[above].tag == f"{AR}ECU-INSTANCE":
+                    return _short_name(named[above])
+    return ""
+
+
+def _turn(timing: Element, cycles: int, where: str) -> tuple[int | None, int | None, int]:
+    slot = number(timing, f"{AR}SLOT-ID", int, where)
+    turn = timing.find(f"{AR}COMMUNICATION-CYCLE/{AR}CYCLE-REPETITION")
+    count = timing.find(f"{AR}COMMUNICATION-CYCLE/{AR}CYCLE-COUNTER")
+    if turn is not None:
+        word = turn.findtext(f"{AR}CYCLE-REPETITION", "1").strip()
+        base = number(turn, f"{AR}BASE-CYCLE", int, where)
+        plain = word.removeprefix("CYCLE-REPETITION-")
+        return slot, base, as_number(plain, int, f"{where}: <CYCLE-REPETITION>")
+    if count is not None:
+        return slot, number(count, f"{AR}CYCLE-COUNTER", int, where), cycles
+    return slot, 0, 1
+
+
+_FORMAT = Format(
+    name="ARXML",
+    standard="AUTOSAR",
+    space=AR,
+    prefix="",
+    in_fibex=False,
+    time_us=microseconds,
+    time_text=in_seconds,
+    rate=f"{AR}BAUDRATE",
+    length="FRAME-LENGTH",
+    cluster=(
+        "FLEXRAY-CLUSTER",
+        "<FLEXRAY-CLUSTER> of the name space http://autosar.org/schema/r4.0; export the system "
+        "with its FlexRay cluster",
+    ),
+    parent="FLEXRAY-CLUSTER-CONDITIONAL",
+    no_channel=(
+        f"{AR}FLEXRAY-PHYSICAL-CHANNEL",
+        "<FLEXRAY-PHYSICAL-CHANNEL> (with <CHANNEL-NAME> CHANNEL-A or CHANNEL-B)",
+    ),
+    no_rate="<BAUDRATE> or <BIT> (the bit rate)",
+    triggering=f"{AR}FLEXRAY-FRAME-TRIGGERING",
+    timing=f"{AR}FLEXRAY-ABSOLUTELY-SCHEDULED-TIMING",
+    clusters=lambda root: {_title(one): one for one in root.iter(f"{AR}FLEXRAY-CLUSTER")},
+    title=_title,
+    values=lambda cluster: _conditional(cluster, "FLEXRAY-CLUSTER"),
+    letters=lambda *found: "".join(sorted(letter for _, letter in _channels(*found))),
+    channels=_channels,
+    controllers=_controllers,
+    key_slots=_key_slots,
+    frames=_frames,
+    turn=_turn,
+    ecu_names=lambda root: [_short_name(one) for one in root.iter(f"{AR}ECU-INSTANCE")],
+)
+WITHOUT_ELEMENT = _FORMAT.lacking()
+"""Fields of a cluster for which AUTOSAR has no element."""
+ARXML = ClusterFileFormat(cluster_from_arxml, slots_from_arxml)
+"""The readers of AUTOSAR files."""

@@ -1,117 +1,243 @@
-"""Clusters in FIBEX, the exchange format of FlexRay tools (ASAM MCD-2 NET, versions 2 to 4).
+"""FIBEX, the exchange format of FlexRay tools (ASAM MCD-2 NET, versions 2 to 4).
 
-Reads a cluster, its channels and, where a file has them, the controllers on these channels
-(pLatestTx, microtick, longest dynamic payload, corrections, key slots). Wake-up is left alone.
+A document has a cluster, its channels and, in some files, the controllers on these channels
+(pLatestTx, microtick, longest dynamic payload, corrections, key slots), and the frames that ECUs
+send. Wake-up is left alone, and signals are not written. The sections and their order are those of
+FIBEX 2 to 4.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from xml.sax.saxutils import escape
 
-from concord.bus.flexray.cluster import Cluster, ClusterError
-from concord.features.flexray_tools.files.usual_values import with_usual_values
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_files import ClusterFileFormat
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.features.flexray_tools.files.exchange import (
+    Format,
+    ecu_name,
+    find_cluster,
+    frame_name,
+    read_cluster,
+    read_slots,
+)
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     Element,
-    Tag,
-    bit_rate_mbps,
-    chosen_cluster,
-    missing_elements,
+    add,
+    document_text,
     number,
     parse_document,
+    section,
 )
 
 FX = "{http://www.asam.net/xml/fbx}"
 FLEXRAY = "{http://www.asam.net/xml/fbx/flexray}"
 HO = "{http://www.asam.net/xml}"
-
-
-CLUSTER_TAGS = (
-    Tag("ACTION-POINT-OFFSET", "action_point_macroticks"),
-    Tag("DYNAMIC-SLOT-IDLE-PHASE", "dynamic_slot_idle_phase_minislots"),
-    Tag("MINISLOT", "minislot_macroticks"),
-    Tag("MINISLOT-ACTION-POINT-OFFSET", "minislot_action_point_macroticks"),
-    Tag("N-I-T", "network_idle_time_macroticks"),
-    Tag("STATIC-SLOT", "static_slot_macroticks"),
-    Tag("SYMBOL-WINDOW", "symbol_window_macroticks"),
-    Tag("T-S-S-TRANSMITTER", "transmission_start_bits"),
-    Tag("MACRO-PER-CYCLE", "macroticks_per_cycle"),
-    Tag("MACROTICK", "macrotick_us", float),
-    Tag("NUMBER-OF-MINISLOTS", "minislots"),
-    Tag("NUMBER-OF-STATIC-SLOTS", "static_slots"),
-    Tag("PAYLOAD-LENGTH-STATIC", "static_payload_words"),
-    Tag("CYCLE", "cycle_us", float),
-)
-CLOCK_TAGS = (
-    Tag("COLD-START-ATTEMPTS", "cold_start_attempts"),
-    Tag("LISTEN-NOISE", "listen_noise"),
-    Tag("MAX-WITHOUT-CLOCK-CORRECTION-FATAL", "halt_after_cycle_pairs"),
-    Tag("MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", "passive_after_cycle_pairs"),
-    Tag("OFFSET-CORRECTION-START", "offset_correction_start_macroticks"),
-    Tag("SYNC-NODE-MAX", "sync_nodes_most"),
-    Tag("CLUSTER-DRIFT-DAMPING", "drift_damping_microticks"),
-    Tag("OFFSET-CORRECTION-MAX", "offset_correction_us", float),
-)
-CONTROLLER_TAGS = (
-    Tag("MAX-DYNAMIC-PAYLOAD-LENGTH", "dynamic_payload_words"),
-    Tag("LATEST-TX", "latest_transmission_minislot"),
-    Tag("MICRO-PER-CYCLE", "microticks_per_cycle"),
-    Tag("MICROTICK", "microtick_us", float),
-)
-CORRECTION_TAGS = (
-    Tag("ACCEPTED-STARTUP-RANGE", "startup_range_microticks"),
-    Tag("LISTEN-TIMEOUT", "listen_timeout_microticks"),
-    Tag("MAX-DRIFT", "drift_microticks"),
-    Tag("OFFSET-CORRECTION-OUT", "offset_correction_microticks"),
-    Tag("RATE-CORRECTION-OUT", "rate_correction_microticks"),
-)
-ALL_TAGS = CLUSTER_TAGS + CLOCK_TAGS + CONTROLLER_TAGS + CORRECTION_TAGS
-WITHOUT_ELEMENT = ("precision_us", "propagation_delay_us")
-"""Fields of a cluster for which FIBEX has no element."""
+_XSI = "{http://www.w3.org/2001/XMLSchema-instance}"
 
 
 def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
-    """Return the FlexRay cluster of a FIBEX document; `name` chooses where there are several.
+    """Return the FlexRay cluster of a FIBEX document, as `read_cluster`."""
+    return read_cluster(_FORMAT, text, name)
 
-    A file without controllers leaves fields open; they get the usual values: microticks of 25 ns,
-    the longest dynamic payload and the largest pLatestTx that the dynamic segment allows. The cycle
-    counter runs to 63, as FlexRay 2.1 has it, unless CYCLE-COUNT-MAX says otherwise.
+
+def slots_from_fibex(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
+    """Return the slot table of a FIBEX document, as `read_slots`."""
+    return read_slots(_FORMAT, text, name)
+
+
+def cluster_to_fibex(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str:
+    """Return the FIBEX document of a cluster, with one controller that has the nodes' parameters,
+    one for each key slot, and an ECU for each node that sends. The fields in `WITHOUT_ELEMENT` are
+    left out."""
+    text = _cluster_text(cluster)
+    return fibex_with_slots(text, slots) if slots else text
+
+
+def fibex_with_slots(
+    text: str | bytes, slots: Sequence[MessageSlot], name: str | None = None
+) -> str:
+    """Return a FIBEX document with other frames on the channels of its cluster.
+
+    Everything else is kept: signals, PDUs, and frames that no triggering names any more.
 
     Raises:
-        ClusterFileError: the document is not well-formed, declares a document type, or has missing
-            or contradictory elements.
+        ClusterFileError: the document describes no cluster, or several and no name.
     """
-    root = parse_document(text, "FIBEX").root
-    element = flexray_cluster(root, name)
-    title = text_of(element, HO, "SHORT-NAME", "cluster")
-    where = f"cluster {title!r}"
-    _check_complete(element, where)
-    stated = {
-        tag.field: number(element, FLEXRAY + tag.name, tag.kind, where)
-        for tag in CLUSTER_TAGS + CLOCK_TAGS
+    document = parse_document(text, "FIBEX")
+    root = document.root
+    channels = _channels(root, find_cluster(_FORMAT, root, name))
+    gone = {
+        one.get("ID") for channel, _ in channels for one in channel.iter(f"{FX}FRAME-TRIGGERING")
     }
-    count = number(element, f"{FLEXRAY}CYCLE-COUNT-MAX", int, where)
-    rate, bit_us = (number(element, t, float, where) for t in (f"{FX}SPEED", f"{FLEXRAY}BIT"))
-    fields: dict[str, Any] = {
-        "name": title,
-        "channels": _channels(root, element, where),
-        "bit_rate_mbps": bit_rate_mbps(rate, bit_us, "SPEED", where),
-        "number_of_cycles": 64 if count is None else 1 + count,
-        **stated,
-    }
-    period_us = number(element, f"{FLEXRAY}SAMPLE-CLOCK-PERIOD", float, where) or 0.0
-    fields |= _controller_fields(_controllers(root, element), period_us)
-    try:
-        return with_usual_values(fields)
-    except ClusterError as error:
-        tags = [tag.name for tag in ALL_TAGS if tag.field in str(error)]
-        raise ClusterFileError(
-            f"{error} (FIBEX elements: {', '.join(tags) or 'SHORT-NAME'})"
-        ) from error
+    for channel, _ in channels:
+        for triggerings in channel.findall(f"{FX}FRAME-TRIGGERINGS"):
+            channel.remove(triggerings)
+    _without_ports(root, gone)
+    elements = section(root, f"{FX}ELEMENTS")
+    frames, ecus = section(elements, f"{FX}FRAMES"), section(elements, f"{FX}ECUS")
+    known = {frame.get("ID"): frame for frame in frames}
+    for slot in slots:
+        frame = known.get(frame_name(slot))
+        if frame is not None:
+            frames.remove(frame)
+        frame = add(frames, f"{FX}FRAME", ID=frame_name(slot))
+        add(frame, f"{HO}SHORT-NAME", frame_name(slot))
+        add(frame, f"{FX}BYTE-LENGTH", slot.payload_bytes)
+        add(frame, f"{FX}FRAME-TYPE", "APPLICATION")
+    for channel, letter in channels:
+        sent = [slot for slot in slots if letter in slot.channel]
+        triggerings = section(channel, f"{FX}FRAME-TRIGGERINGS")
+        for slot in sent:
+            _trigger(triggerings, slot, letter)
+        for node in sorted({slot.node for slot in sent}):
+            of_node = [slot for slot in sent if slot.node == node]
+            _connect(ecus, node, channel.get("ID", ""), letter, of_node)
+    return document_text(document)
 
 
-def channels_of(root: Element, element: Element) -> list[tuple[Element, str]]:
-    """Return the channels of a cluster, each with its letter."""
-    references = {reference.get("ID-REF") for reference in element.iter(f"{FX}CHANNEL-REF")}
+def _without_ports(root: Element, gone: set[str | None]) -> None:
+    """Remove the ports of triggerings that are gone."""
+    for tag in ("INPUT-PORT", "OUTPUT-PORT"):
+        for parent in root.iter():
+            for port in parent.findall(FX + tag):
+                if any(one.get("ID-REF") in gone for one in port.iter(f"{FX}FRAME-TRIGGERING-REF")):
+                    parent.remove(port)
+
+
+def _trigger(triggerings: Element, slot: MessageSlot, letter: str) -> None:
+    one = add(triggerings, f"{FX}FRAME-TRIGGERING", ID=_triggering_name(slot, letter))
+    timing = add(add(one, f"{FX}TIMINGS"), f"{FX}ABSOLUTELY-SCHEDULED-TIMING")
+    add(timing, f"{FX}SLOT-ID", slot.frame_id)
+    add(timing, f"{FX}BASE-CYCLE", slot.base_cycle)
+    add(timing, f"{FX}CYCLE-REPETITION", slot.repetition)
+    add(one, f"{FX}FRAME-REF", **{"ID-REF": frame_name(slot)})
+
+
+def _connect(
+    ecus: Element, node: int, channel: str, letter: str, slots: Sequence[MessageSlot]
+) -> None:
+    """Give the ECU of a node a connector to a channel, with an output port for each frame."""
+    name = ecu_name(node)
+    found = [one for one in ecus if one.get("ID") == name]
+    if found:
+        (ecu,) = found
+    else:
+        ecu = add(ecus, f"{FX}ECU", ID=name)
+        add(ecu, f"{HO}SHORT-NAME", name)
+        controllers = add(ecu, f"{FX}CONTROLLERS")
+        kind = {f"{_XSI}type": "flexray:CONTROLLER-TYPE"}
+        controller = add(controllers, f"{FX}CONTROLLER", ID=f"controller_of_{name}", **kind)
+        add(controller, f"{HO}SHORT-NAME", f"controller_of_{name}")
+    connectors = section(ecu, f"{FX}CONNECTORS")
+    place = f"connector_{name}_{letter}"
+    for old in [one for one in connectors if one.get("ID") == place]:
+        connectors.remove(old)
+    connector = add(connectors, f"{FX}CONNECTOR", ID=place)
+    add(connector, f"{FX}CHANNEL-REF", **{"ID-REF": channel})
+    add(connector, f"{FX}CONTROLLER-REF", **{"ID-REF": f"controller_of_{name}"})
+    outputs = add(connector, f"{FX}OUTPUTS")
+    for slot in slots:
+        triggering = _triggering_name(slot, letter)
+        port = add(outputs, f"{FX}OUTPUT-PORT", ID=f"output_{triggering}")
+        add(port, f"{FX}FRAME-TRIGGERING-REF", **{"ID-REF": triggering})
+
+
+def _triggering_name(slot: MessageSlot, letter: str) -> str:
+    return f"triggering_{frame_name(slot)}_{letter}"
+
+
+def _cluster_text(cluster: Cluster) -> str:
+    key_slots = "".join(
+        f"""
+      <fx:CONTROLLER ID="controller_{slot}" xsi:type="flexray:CONTROLLER-TYPE">
+        <ho:SHORT-NAME>controller_{slot}</ho:SHORT-NAME>
+        <flexray:KEY-SLOT-USAGE><flexray:{usage}>{slot}</flexray:{usage}></flexray:KEY-SLOT-USAGE>
+      </fx:CONTROLLER>"""
+        for slot in cluster.sync_slots
+        for usage in ("STARTUP-SYNC" if slot in cluster.startup_slots else "SYNC",)
+    )
+    channel_refs = "".join(
+        f'<fx:CHANNEL-REF ID-REF="channel_{letter}"/>' for letter in cluster.channels
+    )
+    channels = "\n".join(
+        f'      <fx:CHANNEL ID="channel_{letter}" xsi:type="flexray:CHANNEL-TYPE">'
+        f"<ho:SHORT-NAME>Channel_{letter}</ho:SHORT-NAME>"
+        f"<flexray:FLEXRAY-CHANNEL-NAME>{letter}</flexray:FLEXRAY-CHANNEL-NAME></fx:CHANNEL>"
+        for letter in cluster.channels
+    )
+    controllers = ["controller", *(f"controller_{slot}" for slot in cluster.sync_slots)]
+    connectors = "".join(
+        f"""
+      <fx:CONNECTOR ID="connector_{name}_{letter}"><fx:CHANNEL-REF ID-REF="channel_{letter}"/>"""
+        f'<fx:CONTROLLER-REF ID-REF="{name}"/></fx:CONNECTOR>'
+        for name in controllers
+        for letter in cluster.channels
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fx:FIBEX xmlns:fx="http://www.asam.net/xml/fbx" xmlns:ho="http://www.asam.net/xml"
+ xmlns:flexray="http://www.asam.net/xml/fbx/flexray"
+ xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" VERSION="2.0.1">
+  <fx:PROJECT ID="project"><ho:SHORT-NAME>concord</ho:SHORT-NAME></fx:PROJECT>
+  <fx:ELEMENTS>
+    <fx:CLUSTERS>
+      <fx:CLUSTER ID="cluster" xsi:type="flexray:CLUSTER-TYPE">
+        <ho:SHORT-NAME>{escape(cluster.name)}</ho:SHORT-NAME>
+        <fx:SPEED>{round(cluster.bit_rate_mbps * 1e6)}</fx:SPEED>
+        <fx:IS-HIGH-LOW-BIT-ORDER>true</fx:IS-HIGH-LOW-BIT-ORDER>
+        <fx:BIT-COUNTING-POLICY>MONOTONE</fx:BIT-COUNTING-POLICY>
+        <fx:PROTOCOL xsi:type="flexray:PROTOCOL-TYPE">FlexRay</fx:PROTOCOL>
+        <fx:CHANNEL-REFS>{channel_refs}</fx:CHANNEL-REFS>
+        <flexray:CYCLE-COUNT-MAX>{cluster.number_of_cycles - 1}</flexray:CYCLE-COUNT-MAX>
+{_lines(cluster, "cluster", "clocks")}
+        <flexray:BIT>{cluster.bit_us!r}</flexray:BIT>
+      </fx:CLUSTER>
+    </fx:CLUSTERS>
+    <fx:CHANNELS>
+{channels}
+    </fx:CHANNELS>
+    <fx:ECUS><fx:ECU ID="ecu"><ho:SHORT-NAME>node</ho:SHORT-NAME><fx:CONTROLLERS>
+      <fx:CONTROLLER ID="controller" xsi:type="flexray:CONTROLLER-TYPE">
+        <ho:SHORT-NAME>controller</ho:SHORT-NAME>
+{_lines(cluster, "controller")}
+      </fx:CONTROLLER>{key_slots}
+    </fx:CONTROLLERS><fx:CONNECTORS>{connectors}
+    </fx:CONNECTORS></fx:ECU></fx:ECUS>
+  </fx:ELEMENTS>
+</fx:FIBEX>
+"""
+
+
+def _lines(cluster: Cluster, *parts: str) -> str:
+    return "\n".join(
+        f"        <flexray:{tag}>{text}</flexray:{tag}>"
+        for tag, text in _FORMAT.stated(cluster, *parts)
+    )
+
+
+def _references(element: Element, tag: str) -> list[str | None]:
+    """Return the elements that those of a name below an element refer to."""
+    return [reference.get("ID-REF") for reference in element.iter(FX + tag)]
+
+
+def _clusters(root: Element) -> dict[str, Element]:
+    """Return the clusters with elements of FlexRay's name space (a file may describe CAN, too)."""
+    return {
+        element.findtext(f"{HO}SHORT-NAME", ""): element
+        for element in root.iter(f"{FX}CLUSTER")
+        if any(str(child.tag).startswith(FLEXRAY) for child in element)
+    }
+
+
+def _title(element: Element, where: str = "cluster") -> str:
+    text = element.findtext(f"{HO}SHORT-NAME", "")
+    if not text.strip():
+        raise ClusterFileError(f"{where}: element <SHORT-NAME> is missing; give the {where} a name")
+    return text
+
+
+def _channels(root: Element, element: Element) -> list[tuple[Element, str]]:
+    references = set(_references(element, "CHANNEL-REF"))
     return [
         (channel, channel.findtext(f"{FLEXRAY}FLEXRAY-CHANNEL-NAME", "").strip())
         for channel in root.iter(f"{FX}CHANNEL")
@@ -119,45 +245,26 @@ def channels_of(root: Element, element: Element) -> list[tuple[Element, str]]:
     ]
 
 
-def flexray_cluster(root: Element, name: str | None) -> Element:
-    """Return the cluster with elements of the FlexRay name space (a file may describe CAN, too).
-
-    Raises:
-        ClusterFileError: there is none, or several and no name.
-    """
-    clusters = {
-        element.findtext(f"{HO}SHORT-NAME", ""): element
-        for element in root.iter(f"{FX}CLUSTER")
-        if any(str(child.tag).startswith(FLEXRAY) for child in element)
-    }
-    cure = "<CLUSTER> of type flexray:CLUSTER-TYPE; export the FlexRay cluster"
-    return chosen_cluster(clusters, name, "CLUSTER", cure)
-
-
-def _channels(root: Element, element: Element, where: str) -> str:
-    names = {
-        channel.get("ID"): channel.findtext(f"{FLEXRAY}FLEXRAY-CHANNEL-NAME", "").strip()
-        for channel in root.iter(f"{FX}CHANNEL")
-    }
-    references = [reference.get("ID-REF") for reference in element.iter(f"{FX}CHANNEL-REF")]
+def _letters(root: Element, element: Element, where: str) -> str:
+    names = {channel.get("ID"): letter for channel, letter in _channels(root, element)}
+    references = _references(element, "CHANNEL-REF")
     lost = [reference for reference in references if names.get(reference) not in ("A", "B")]
-    if not references or lost:
+    if lost:
         raise ClusterFileError(
-            f"{where}: <CHANNEL-REF> {lost or 'is missing'}; it must refer to a <CHANNEL> with "
+            f"{where}: <CHANNEL-REF> {lost}; it must refer to a <CHANNEL> with "
             "<FLEXRAY-CHANNEL-NAME> A or B"
         )
     return "".join(sorted({names[reference] for reference in references}))
 
 
-def _controllers(root: Element, element: Element) -> list[Element]:
+def _controllers(root: Element, element: Element, where: str) -> list[Element]:
     """The controllers that connectors put on the cluster's channels; all where there are none."""
-    channels = {reference.get("ID-REF") for reference in element.iter(f"{FX}CHANNEL-REF")}
+    channels = set(_references(element, "CHANNEL-REF"))
     connected: dict[str | None, bool] = {}
     for connector in root.iter(f"{FX}CONNECTOR"):
-        on = {reference.get("ID-REF") for reference in connector.iter(f"{FX}CHANNEL-REF")}
-        for reference in connector.iter(f"{FX}CONTROLLER-REF"):
-            name = reference.get("ID-REF")
-            connected[name] = connected.get(name, False) or bool(on & channels)
+        on = bool(channels.intersection(_references(connector, "CHANNEL-REF")))
+        for name in _references(connector, "CONTROLLER-REF"):
+            connected[name] = connected.get(name, False) or on
     return [
         controller
         for controller in root.iter(f"{FX}CONTROLLER")
@@ -165,72 +272,83 @@ def _controllers(root: Element, element: Element) -> list[Element]:
     ]
 
 
-def _controller_fields(controllers: Sequence[Element], period_us: float) -> dict[str, Any]:
-    """Return the controllers' values: the earliest pLatestTx, the longest payload, the widest
-    correction of any, and all key slots.
-
-    The microtick is that of the first controller that has one, or so many sample clock periods;
-    controllers may differ in clocks.
-    """
-    payload, latest, count, microtick = (_stated(controllers, tag) for tag in CONTROLLER_TAGS)
-    samples = _stated(controllers, Tag("SAMPLES-PER-MICROTICK", "microtick_us"))
-    if samples and period_us and not microtick:
-        microtick = [round(samples[0] * period_us, 9)]
+def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:
+    found: dict[str, set[int]] = {"SYNC": set(), "STARTUP-SYNC": set()}
     usages = [usage for one in controllers for usage in one.iter(f"{FLEXRAY}KEY-SLOT-USAGE")]
-    sync, startup = (
-        sorted({_key_slot(slot) for usage in usages for slot in usage.findall(FLEXRAY + name)})
-        for name in ("SYNC", "STARTUP-SYNC")
-    )
-    found = {
-        "dynamic_payload_words": max(payload, default=None),
-        "latest_transmission_minislot": min(latest, default=None),
-        "microticks_per_cycle": count[0] if count else None,
-        "microtick_us": microtick[0] if microtick else None,
-        "sync_slots": tuple(sorted({*sync, *startup})),
-        "startup_slots": tuple(startup),
-        **{tag.field: max(_stated(controllers, tag), default=None) for tag in CORRECTION_TAGS},
+    for name, slots in found.items():
+        for slot in (slot for usage in usages for slot in usage.findall(FLEXRAY + name)):
+            text = (slot.text or "").strip()
+            if not text.isdecimal():
+                raise ClusterFileError(
+                    f"controller: <KEY-SLOT-USAGE> says {text[:40]!r}, but must be a slot"
+                )
+            slots.add(int(text))
+    return sorted(found["SYNC"]), sorted(found["STARTUP-SYNC"])
+
+
+def _frames(root: Element) -> Callable[[Element], tuple[str, str | None, int | None, str]]:
+    senders = {
+        triggering: _title(ecu, "ECU")
+        for ecu in root.iter(f"{FX}ECU")
+        for port in ecu.iter(f"{FX}OUTPUT-PORT")
+        for triggering in _references(port, "FRAME-TRIGGERING-REF")
     }
-    return {field: value for field, value in found.items() if value is not None}
+    lengths = {
+        frame.get("ID"): number(frame, f"{FX}BYTE-LENGTH", int, f"frame {frame.get('ID')}")
+        for frame in root.iter(f"{FX}FRAME")
+    }
+
+    def frame_of(triggering: Element) -> tuple[str, str | None, int | None, str]:
+        name = triggering.get("ID", "?")
+        reference = triggering.find(f"{FX}FRAME-REF")
+        frame = None if reference is None else reference.get("ID-REF")
+        return f"frame triggering {name!r}", frame, lengths.get(frame), senders.get(name, "")
+
+    return frame_of
 
 
-def _stated(controllers: Sequence[Element], tag: Tag) -> list[Any]:
-    values = [
-        number(controller, FLEXRAY + tag.name, tag.kind, "controller") for controller in controllers
-    ]
-    return [value for value in values if value is not None]
+def _turn(timing: Element, cycles: int, where: str) -> tuple[int | None, int | None, int]:
+    slot, base, repetition, count = (
+        number(timing, FX + tag, int, where)
+        for tag in ("SLOT-ID", "BASE-CYCLE", "CYCLE-REPETITION", "CYCLE-COUNTER")
+    )
+    return (slot, base, repetition or 1) if count is None else (slot, count, cycles)
 
 
-def _key_slot(element: Element) -> int:
-    text = (element.text or "").strip()
-    if not text.isdecimal():
-        raise ClusterFileError(
-            f"controller: <KEY-SLOT-USAGE> says {text[:40]!r}, but must be a slot"
-        )
-    return int(text)
-
-
-def _check_complete(element: Element, where: str) -> None:
-    """Refuse a cluster that lacks elements, with all their names."""
-    missing = [
-        f"<flexray:{tag.name}> ({tag.field})"
-        for tag in CLUSTER_TAGS
-        if element.find(FLEXRAY + tag.name) is None
-    ]
-    if next(element.iter(f"{FX}CHANNEL-REF"), None) is None:
-        missing.append("<CHANNEL-REF> (to a <CHANNEL> with <FLEXRAY-CHANNEL-NAME> A or B)")
-    if element.find(f"{FX}SPEED") is None and element.find(f"{FLEXRAY}BIT") is None:
-        missing.append("<SPEED> and <BIT> (the bit rate)")
-    if missing:
-        raise missing_elements(where, missing, "CLUSTER")
-
-
-def text_of(element: Element, space: str, name: str, where: str) -> str:
-    """Return the text of a child element.
-
-    Raises:
-        ClusterFileError: it is missing or empty.
-    """
-    text = element.findtext(f"{space}{name}", "")
-    if not text.strip():
-        raise ClusterFileError(f"{where}: element <{name}> is missing; give the {where} a name")
-    return text
+_FORMAT = Format(
+    name="FIBEX",
+    standard="FIBEX",
+    space=FLEXRAY,
+    prefix="flexray:",
+    in_fibex=True,
+    time_us=float,
+    time_text=repr,
+    rate=f"{FX}SPEED",
+    length="BYTE-LENGTH",
+    cluster=(
+        "CLUSTER",
+        "<CLUSTER> of type flexray:CLUSTER-TYPE; export the FlexRay cluster",
+    ),
+    parent="CLUSTER",
+    no_channel=(
+        f"{FX}CHANNEL-REF",
+        "<CHANNEL-REF> (to a <CHANNEL> with <FLEXRAY-CHANNEL-NAME> A or B)",
+    ),
+    no_rate="<SPEED> and <BIT> (the bit rate)",
+    triggering=f"{FX}FRAME-TRIGGERING",
+    timing=f"{FX}ABSOLUTELY-SCHEDULED-TIMING",
+    clusters=_clusters,
+    title=_title,
+    values=lambda element: element,
+    letters=_letters,
+    channels=_channels,
+    controllers=_controllers,
+    key_slots=_key_slots,
+    frames=_frames,
+    turn=_turn,
+    ecu_names=lambda root: [one.findtext(f"{HO}SHORT-NAME", "") for one in root.iter(f"{FX}ECU")],
+)
+WITHOUT_ELEMENT = _FORMAT.lacking()
+"""Fields of a cluster for which FIBEX has no element."""
+FIBEX = ClusterFileFormat(cluster_from_fibex, slots_from_fibex)
+"""The readers of FIBEX files."""

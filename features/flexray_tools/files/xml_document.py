@@ -31,14 +31,6 @@ class XmlDocument(NamedTuple):
     spaces: dict[str, str]
 
 
-class Tag(NamedTuple):
-    """An element, and the field of a cluster that it holds."""
-
-    name: str
-    field: str
-    kind: type[int] | type[float] = int
-
-
 class _Builder(ElementTree.TreeBuilder):
     """Builds elements with comments, and keeps the prefixes of name spaces."""
 
@@ -178,45 +170,3 @@ def in_seconds(time_us: float) -> str:
         return str(Decimal(repr(time_us)).scaleb(-6))
     except InvalidOperation:
         return repr(time_us * 1e-6)
-
-
-def missing_elements(where: str, missing: list[str], parent: str) -> ClusterFileError:
-    """Return the refusal that names all missing elements."""
-    several = len(missing) > 1
-    return ClusterFileError(
-        f"{where}: element{'s' * several} {', '.join(missing)} {'are' if several else 'is'} "
-        f"missing; add {'them' if several else 'it'} to the <{parent}>"
-    )
-
-
-def chosen_cluster(clusters: dict[str, Element], name: str | None, tag: str, cure: str) -> Element:
-    """Return the cluster of a name, or the only one.
-
-    Raises:
-        ClusterFileError: there is none, which the cure tells, or several and no name.
-    """
-    if not clusters:
-        raise ClusterFileError(f"the file has no {cure}")
-    if name is None and len(clusters) == 1:
-        return next(iter(clusters.values()))
-    if name not in clusters:
-        wanted = f"several <{tag}>s" if name is None else f"no <{tag}> {name!r}"
-        names = ", ".join(map(repr, clusters))
-        raise ClusterFileError(f"the file has {wanted}; choose one of {names}")
-    return clusters[name]
-
-
-def bit_rate_mbps(rate: float | None, bit_us: float | None, tag: str, where: str) -> float:
-    """Return the bit rate of the element `tag` (bit/s) and BIT (us); one of them may be missing.
-
-    Raises:
-        ClusterFileError: both are 0, or contradict each other.
-    """
-    rate, bit_us = (rate or 0.0) / 1e6, bit_us or 0.0
-    if not rate and not bit_us:
-        raise ClusterFileError(f"{where}: <{tag}> and <BIT> are 0; state the rate in bit/s")
-    if rate and bit_us and abs(rate * bit_us - 1.0) > 1e-6:
-        raise ClusterFileError(
-            f"{where}: <{tag}> says {rate:g} Mbit/s, but <BIT> {bit_us:g} us; correct one"
-        )
-    return rate or round(1.0 / bit_us, 6)

@@ -22,10 +22,15 @@ from concord.bus.flexray.clocks.correction import (
     midpoint,
     periods,
 )
-from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, spread_us, synchronised
+from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, synchronised
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
-from concord.features.flexray_tools.clocks.clock_run import Conditions, draw_conditions, run_clocks
+from concord.features.flexray_tools.clocks.clock_run import (
+    Conditions,
+    draw_conditions,
+    run_clocks,
+    spread_us,
+)
 from tests.bus.clocks.scalar_clocks import scalar_starts, sorted_and_dropped
 
 ppm_of = st.integers(-1500, 1500)

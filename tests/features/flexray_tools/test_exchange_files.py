@@ -16,13 +16,19 @@ from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from concord.bus.flexray.slot_file import SlotFileError, checked_slots, read_slot_file
 from concord.features.flexray_tools.files.arxml import WITHOUT_ELEMENT as NOT_IN_ARXML
-from concord.features.flexray_tools.files.arxml import cluster_from_arxml
-from concord.features.flexray_tools.files.arxml_slots import slots_from_arxml
-from concord.features.flexray_tools.files.arxml_writing import arxml_with_slots, cluster_to_arxml
+from concord.features.flexray_tools.files.arxml import (
+    arxml_with_slots,
+    cluster_from_arxml,
+    cluster_to_arxml,
+    slots_from_arxml,
+)
 from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT as NOT_IN_FIBEX
-from concord.features.flexray_tools.files.fibex import cluster_from_fibex
-from concord.features.flexray_tools.files.fibex_slots import slots_from_fibex
-from concord.features.flexray_tools.files.fibex_writing import cluster_to_fibex, fibex_with_slots
+from concord.features.flexray_tools.files.fibex import (
+    cluster_from_fibex,
+    cluster_to_fibex,
+    fibex_with_slots,
+    slots_from_fibex,
+)
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     document_text,

@@ -15,8 +15,8 @@ from concord.features.flexray_tools.commands.turn_designs import (
     linear_network,
     reading_ages,
 )
+from concord.features.flexray_tools.slot_design.aged_readings import aged_cov, steady_cov
 from concord.features.flexray_tools.slot_design.turns import CycleTurn
-from concord.features.measurement_bus.aged_readings import aged_cov, steady_cov
 from concord.scenarios.preparation import prepare
 from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.support import scenario

@@ -26,6 +26,7 @@ from tests.experiments.support import scenario
 from tests.nodes import changing
 from tests.test_agreement import assert_agreement
 
+AS_PRINTED = "concord.papers.meng2025.filter_as_printed"
 STAR: dict = {"steps": 41}
 NETWORK: dict = {"nodes": 4, "steps": 25}
 
@@ -74,8 +75,8 @@ def test_the_first_cycles():
         {"schedule": "round-robin"},
         {"schedule": "full", "run": 3},
         {"filter": "ekf", "bid_weights": "1 1 1 1 9 1; 1 1 1 1 1 9"},
-        {"filter": "paper-literal"},
-        {"filter": "paper-literal-R"},
+        {"filter": f"{AS_PRINTED}:PAPER_LITERAL"},
+        {"filter": f"{AS_PRINTED}:PAPER_LITERAL_R"},
     ],
     ids=str,
 )
@@ -89,9 +90,13 @@ def test_nodes_do_what_the_arrays_do(changes: dict):
 
 
 @pytest.mark.parametrize(
-    ("name", "filter"), [("paper-literal", PAPER_LITERAL), ("paper-literal-R", PAPER_LITERAL_R)]
+    ("name", "filter"),
+    [
+        (f"{AS_PRINTED}:PAPER_LITERAL", PAPER_LITERAL),
+        (f"{AS_PRINTED}:PAPER_LITERAL_R", PAPER_LITERAL_R),
+    ],
 )
-def test_the_filters_as_printed_have_names(name: str, filter: MeasurementFilter):
+def test_the_filters_as_printed_are_found_by_their_module(name: str, filter: MeasurementFilter):
     prior = Gaussian(meng2025.PRIOR_MEAN, meng2025.PRIOR_COV)
     receiver = receiver_of(plant_on_bus(), star(filter=name).scenario, prior, None)
     assert isinstance(receiver, GaussianReceiver)

@@ -35,7 +35,7 @@ pytestmark = pytest.mark.slow
 
 ELLIPSOIDS = ["tight", "fast-rate", "paper", "fast"]
 SETS: list[dict[str, Any]] = [{"method": one} for one in ELLIPSOIDS]
-SETS += [{"filter": "zonotope"}, {"filter": "constrained-zonotope"}]
+SETS += [{"filter": "zonotope"}]
 GAUSSIANS: list[dict[str, Any]] = [{"filter": one} for one in ("recommended", "kf", "ukf", "ekf")]
 
 

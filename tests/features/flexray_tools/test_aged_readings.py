@@ -6,7 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from concord.features.measurement_bus.aged_readings import LinearSensing, aged_cov, steady_cov
+from concord.features.flexray_tools.slot_design.aged_readings import (
+    LinearSensing,
+    aged_cov,
+    steady_cov,
+)
 
 
 def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearSensing, np.ndarray]:
