@@ -23,8 +23,8 @@ from functools import partial
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio
-from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
 from concord.features.sets.bounded import BoundedSystem
+from concord.features.sets.delivered import bus_of_outputs, delivered
 from concord.features.sets.filters.bus_readings import MeasuredPlant, augmented, cycle_evidence
 from concord.features.sets.filters.cycle import CycleResult, turned
 from concord.features.sets.filters.ellipsoid import Ellipsoid, image, shape_matrix

@@ -24,12 +24,11 @@ KINDS = {
     "BUSES": "a BusDefinition",
     "SCHEDULES": "only options: which nodes may publish in a cycle",
     "CLUSTER_FILES": "a ClusterFileFormat, by the ending of its files",
-    "GRAPHS": "a function of a path and a number of nodes, by the word before the colon",
+    "GRAPHS": "a GraphSource, by the word before the colon",
     "ARBITERS": "an Arbiter",
     "FIGURES": "by name, (dimensions, unit, meaning) of figures of runs",
     "CHARTS": "a chart of the page",
     "COMMANDS": "a function of the command line, or a table of them (a group)",
-    "CHECKS": "a function () -> findings of `concord doctor`",
     "NAMES": "a public name of the package concord",
 }
 """What the target of an entry is, by the name of its table."""

@@ -1,11 +1,9 @@
 """A belief of an earlier step, from which a node begins anew."""
 
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
-from concord.features.sets.set_membership import BoundedModel
-from concord.features.sets.set_shapes import Ellipsoids
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.local_filter import Model, at, predict_to_step
@@ -28,17 +26,3 @@ class EarlierBelief(NamedTuple):
             moved, sound = predict_to_step(beliefs, self.control, number, model, filter)
             beliefs = moved if sound[0] else beliefs
         return at(moments(filter, beliefs), 0)
-
-    def set_at_step(self, step: int, model: Model) -> Gaussian:
-        """Carry the belief, which is a set, to a step under all noise within its bound.
-
-        It holds the truth where one control drove all steps between, or none.
-        """
-        if self.step == step:
-            return self.belief
-        bounded, shape = cast(BoundedModel, model), Ellipsoids(len(self.belief.mean))
-        kept = shape.containing(self.belief)
-        for number in range(self.step, step):
-            moved = bounded.transition(kept.centre, self.control, number)
-            kept = shape.moved(kept, moved, *bounded.motion(number))
-        return shape.bounds(kept)

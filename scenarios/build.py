@@ -25,7 +25,13 @@ from concord.scenarios.filters import build_filter, models_of
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
-from concord.scenarios.rules import build_estimator, hold_policy, is_set_valued, wire_number
+from concord.scenarios.rules import (
+    build_estimator,
+    hold_policy,
+    is_set_valued,
+    rule_of,
+    wire_number,
+)
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
@@ -83,15 +89,15 @@ def _rebuilt(
         complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
     # The sensors of a measurement bus believe nothing that a node could begin with.
-    keeps_sets = is_set_valued(changed.scenario)
-    if earlier is None and keeps_sets and step > 0:
+    if earlier is None and is_set_valued(changed.scenario) and step > 0:
         # Everything that the prior says is of step 0.
         prior = Gaussian(np.array(changed.prior_mean), np.array(changed.prior_cov))
         earlier = EarlierBelief(prior, 0)
     if earlier is not None and not definition_of(changed.scenario).wirings:
         model = definition_of(changed.scenario).model(changed.scenario)
-        if keeps_sets:
-            belief = earlier.set_at_step(step - 1, model)
+        set_at_step = rule_of(changed.scenario).set_at_step
+        if set_at_step is not None:
+            belief = set_at_step(earlier, step - 1, model)
         else:
             belief = earlier.at_step(step - 1, model, filter_of(changed))
         changed = msgspec.structs.replace(

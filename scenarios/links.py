@@ -128,7 +128,7 @@ def network_of(
     if plan.kind == "measured" and network.delivery is None:
         raise ValueError(
             f"--links measured: graph {scenario.network.graph} has no chances of delivery; take a "
-            "file with numbers between 0 and 1 on its links, graph intel-lab, or --links "
+            "file with numbers between 0 and 1 on its links, a graph of recorded links, or --links "
             "bernoulli:0.1"
         )
     return network, ()

@@ -1,7 +1,6 @@
 """Work a scenario out: check it, draw its network, and change the settings of one that runs."""
 
 import hashlib
-import os
 from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
@@ -81,7 +80,6 @@ def _graph(scenario: Scenario, plant: ScenarioPlant) -> _Graph:
     """
     # Only here: a process of the network is handed the graph of the beginning, and draws another
     # one only where a change asks for it.
-    from concord.features.recorded.intel_lab import DATA_VARIABLE
     from concord.topology.adjacency import neighbours_of
     from concord.topology.analysis import require_connected
     from concord.topology.edge_text import edge_text
@@ -91,12 +89,11 @@ def _graph(scenario: Scenario, plant: ScenarioPlant) -> _Graph:
 
     positions = plant.positions(0)
     radius = definition_of(scenario).radio_range_m if positions is not None else None
-    data = os.environ.get(DATA_VARIABLE)
 
     def build(name: str) -> Network:
         if is_source_name(name):
             name = edge_text(value_of(source_of(name)))
-        return build_network(name, scenario.nodes, scenario.seed, positions, radius, data)
+        return build_network(name, scenario.nodes, scenario.seed, positions, radius)
 
     network, phases = network_of(scenario, build)
     require_connected(network.adjacency)

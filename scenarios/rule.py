@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator
+from concord.nodes.rules.local_filter import Model
 from concord.scenarios.node_context import BatchContext, NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -25,7 +27,8 @@ class Rule(NamedTuple):
         estimator: builds that of one node.
         batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
-        set_valued: covariances are shape matrices of ellipsoids that hold the truth for certain.
+        set_at_step: (set of an earlier step, step, model) -> the set of that step. Given for a rule
+            whose covariances are shape matrices of ellipsoids that hold the truth for certain.
         baseline_filter: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) ->
             beliefs (steps,) of one filter that takes the readings of these nodes; None for the
             Gaussian filter of the scenario.
@@ -39,7 +42,7 @@ class Rule(NamedTuple):
     estimator: Callable[[NodeContext], AnyEstimator]
     batched: Callable[[BatchContext], "BatchedRule"]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
-    set_valued: bool = False
+    set_at_step: Callable[[EarlierBelief, int, Model], Gaussian] | None = None
     baseline_filter: (
         Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None
     ) = None
@@ -47,6 +50,11 @@ class Rule(NamedTuple):
     weighted: bool = True
     consistent: bool = True
     share_bytes: Callable[[Scenario, int], int] | None = None
+
+    @property
+    def set_valued(self) -> bool:
+        """Whether beliefs are sets that hold the truth for certain."""
+        return self.set_at_step is not None
 
     @property
     def shares_beliefs(self) -> bool:

@@ -97,6 +97,26 @@ class NetworkWiring(NamedTuple):
     lacking: Callable[[Scenario], str | None] = lambda _: None
 
 
+class Explanation(NamedTuple):
+    """What a plant's own data tell of runs beside their innovations.
+
+    Attributes:
+        cure: of a model that does not move as the readings do.
+        cause: the sentence on what explains most of what innovations leave unexplained; empty if
+            nothing does.
+        misread: in place of `cause`, of a channel whose innovations no noise explains.
+        errors: the sentence on errors of estimates, in place of that on ANEES beside the truth;
+            empty for none.
+        anees: ANEES behind `errors`, and the ends of its interval.
+    """
+
+    cure: str = "raise Q, or model that part"
+    cause: str = ""
+    misread: str = ""
+    errors: str = ""
+    anees: tuple[float, float, float] = (np.nan, np.nan, np.nan)
+
+
 class ScenarioDefinition(NamedTuple):
     """One named scenario.
 
@@ -129,6 +149,9 @@ class ScenarioDefinition(NamedTuple):
             the reason; None for a model that always does.
         results, page: "module:MEMBER" of what results (`RunExtras`) and the page (`OwnPage`) know
             of this scenario alone; "" for nothing. No node loads them.
+        explain: (setup, beliefs (R, S, n) of the filter that hears everything, steps that count (R,
+            S)) -> what the plant's own data tell of R runs.
+        node_names: of all nodes; empty where numbers are their names.
     """
 
     defaults: Scenario
@@ -152,6 +175,8 @@ class ScenarioDefinition(NamedTuple):
     outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
     results: str = ""
     page: str = ""
+    explain: Callable[[Setup, Gaussian, np.ndarray], Explanation] = lambda *_: Explanation()
+    node_names: tuple[str, ...] = ()
 
     def wiring(self, scenario: Scenario) -> NetworkWiring | None:
         """The wiring of the scenario's rule; None where every node filters and fuses.

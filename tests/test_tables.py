@@ -29,7 +29,7 @@ from concord.scenarios.types.option import name_of
 from concord.scenarios.types.rules import UserRule
 from concord.studies.agree import first_difference
 from concord.studies.near_agreement import departures
-from concord.topology.choices import GRAPHS, WEIGHTS
+from concord.topology.choices import WEIGHTS, graph_names
 from concord.topology.link_names import EXAMPLES as LINK_EXAMPLES
 from tests.experiments.support import scenario, trace_of
 
@@ -58,7 +58,7 @@ def entries() -> Iterator[Entry]:
     tables: dict[str, tuple[str, tuple[str, ...], dict[str, Any]]] = {
         "arbiter": ("bus", tuple(ARBITERS), {"schedule": "hybrid", "occupancy": 0.5}),
         "cluster": ("bus", cluster_names(), {}),
-        "graph": ("network", GRAPHS, {}),
+        "graph": ("network", graph_names(), {}),
         "weights": ("network", WEIGHTS, {}),
         "links": ("faults", tuple(" or ".join(LINK_EXAMPLES.values()).split(" or ")), {}),
     }

@@ -3,8 +3,10 @@
 Apart from the functions that make them, which bring scipy and networkx.
 """
 
+from concord.entries import entries
+
 # K stands for a number, PATH for a file of `graph_files`.
-GRAPHS = (
+_GRAPHS = (
     "ring",
     "path",
     "star",
@@ -18,7 +20,10 @@ GRAPHS = (
     "edges:0-1;1-2",
     "file:PATH",
     "directed:PATH",
-    "intel-lab",
-    "intel-lab-directed",
 )
 WEIGHTS = ("metropolis", "maximum-degree", "best-constant", "fastest-mixing", "equal-neighbour")
+
+
+def graph_names() -> tuple[str, ...]:
+    """Return the names of all graphs, those of entries last."""
+    return (*_GRAPHS, *entries("GRAPHS"))

@@ -5,6 +5,7 @@ node i hears node j. It is symmetric but where a directed graph is asked for.
 """
 
 import math
+import os
 import re
 from collections.abc import Callable
 
@@ -12,14 +13,14 @@ import networkx
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.features.recorded.intel_lab import DATA_VARIABLE, intel_lab
+from concord.entries import chosen, entries
 from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
-from concord.topology.choices import GRAPHS
+from concord.topology.choices import graph_names
 from concord.topology.edge_text import read_edge_text
 from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
 from concord.topology.graph_files import read_network
 from concord.topology.names import unknown_name
-from concord.topology.network import Network
+from concord.topology.network import GraphSource, Network
 from concord.topology.random_graphs import (
     connecting_probability,
     erdos_renyi,
@@ -99,10 +100,7 @@ _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
     "edges": lambda text, nodes: Network(read_edge_text(text, nodes)),
     "file": lambda path, nodes: read_network(path, nodes),
     "directed": lambda path, nodes: read_network(path, nodes, directed=True),
-    "intel-lab": lambda path, nodes: intel_lab(path, nodes),
-    "intel-lab-directed": lambda path, nodes: intel_lab(path, nodes, one_way=True),
 }
-_LABS = ("intel-lab", "intel-lab-directed")
 
 
 def is_random(name: str) -> bool:
@@ -133,23 +131,25 @@ def build_network(
     """Return the graph of that name and what is known of it.
 
     `geometric` takes `positions` (nodes, 2) and a `radius` in their unit; without positions it
-    draws them by `scatter`. `intel-lab` takes the folder of its `data`, which may also follow its
-    name after a colon. The other names use none of them. `erdos-renyi` has a mean degree of about
-    2 ln n, `small-world` degree 4 and rewiring 0.1, `scale-free` two links per new node. All but
-    `directed:PATH` and `intel-lab-directed` are symmetric; there (i, j) says that i hears j. Only
-    what is read may leave `nodes` open.
+    draws them by `scatter`. A graph of an entry takes the folder of its `data`, which may also
+    follow its name after a colon, or stand in the environment. The other names use none of them.
+    `erdos-renyi` has a mean degree of about 2 ln n, `small-world` degree 4 and rewiring 0.1,
+    `scale-free` two links per new node. All but `directed:PATH` and some graphs of entries are
+    symmetric; there (i, j) says that i hears j. Only what is read may leave `nodes` open.
 
     Raises:
         ValueError: for an unknown name or impossible numbers.
     """
     source, colon, path_ = name.partition(":")
-    if source in _LABS and not colon:
-        if data is None:
+    if source in entries("GRAPHS"):
+        found: GraphSource = chosen("GRAPHS", source)
+        folder = path_ or data or os.environ.get(found.variable)
+        if not folder:
             raise ValueError(
-                f"graph {name} is read from the Intel lab data: name their folder as "
-                f"{name}:FOLDER, or with the environment variable {DATA_VARIABLE}"
+                f"graph {source} is read from {found.name} data: name their folder as "
+                f"{source}:FOLDER, or with the environment variable {found.variable}"
             )
-        return _SOURCES[source](data, nodes)
+        return found.read(folder, nodes)
     if source in _SOURCES and colon:
         return _SOURCES[source](path_, nodes)
     if nodes is None:
@@ -160,7 +160,7 @@ def build_network(
         return Network(regular(nodes, int(match[1]), seed))
     if name in _BUILDERS:
         return Network(_BUILDERS[name](nodes, seed))
-    raise unknown_name("graph", name, GRAPHS)
+    raise unknown_name("graph", name, graph_names())
 
 
 def _geometric(

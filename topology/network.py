@@ -1,5 +1,7 @@
 """A graph with what is known of it: how well links deliver, where nodes are, their names."""
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +23,26 @@ class Network(NamedTuple):
     delivery: np.ndarray | None = None
     positions: np.ndarray | None = None
     names: tuple[str, ...] | None = None
+
+
+class GraphSource(NamedTuple):
+    """A kind of graph that a user reads from a folder of recorded data.
+
+    Attributes:
+        name: of the data.
+        read: (folder, number of nodes or None for all) -> the graph; raises ValueError.
+        files: that tell a folder of this kind.
+        variable: of the environment, which may name such a folder.
+    """
+
+    name: str
+    read: Callable[[str, int | None], Network]
+    files: tuple[str, ...]
+    variable: str
+
+    def is_at(self, folder: Path) -> bool:
+        """Return whether a folder holds all files that tell this kind."""
+        return all((folder / file).is_file() for file in self.files)
 
 
 def delivery_of(adjacency: Adjacency, given: csr_array) -> np.ndarray | None:

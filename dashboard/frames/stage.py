@@ -166,7 +166,7 @@ def set_stage(setup: Setup) -> Stage:
     return Stage(
         setup=setup,
         bus=build_bus(setup),
-        names=_names(setup, picture),
+        names=_names(setup),
         state_names=tuple(plant.state_names),
         state_units=tuple(plant.state_units),
         edges=edges,
@@ -211,12 +211,10 @@ def _links(setup: Setup) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return edges, directed
 
 
-def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:
-    if picture is PlantDrawing.TRACK:
-        from concord.features.vehicle.plant.network import NODES
-
-        if len(NODES) == setup.scenario.nodes:
-            return NODES
+def _names(setup: Setup) -> tuple[str, ...]:
+    names = definition_of(setup.scenario).node_names
+    if names:
+        return names
     digits = max(2, len(str(setup.scenario.nodes - 1)))
     return tuple(f"{node:0{digits}d}" for node in range(setup.scenario.nodes))
 

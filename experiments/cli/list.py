@@ -19,7 +19,7 @@ from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.scenario_options import offered_options
 from concord.scenarios.types.option import name_of
 from concord.scenarios.types.schedules import WrittenSchedule
-from concord.topology.choices import GRAPHS, WEIGHTS
+from concord.topology.choices import WEIGHTS, graph_names
 from concord.topology.link_names import NAMES as LINK_NAMES
 
 
@@ -34,7 +34,7 @@ class ListOptions:
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     """List scenarios, rules, filters, faults, and names that options of network and bus take."""
     names = {
-        "graphs": list(GRAPHS),
+        "graphs": list(graph_names()),
         "weights": list(WEIGHTS),
         "links": list(LINK_NAMES),
         "schedules": [*schedule_names(), name_of(WrittenSchedule)],

@@ -29,7 +29,7 @@ def analyse(source: Source = "", *, options: Options, json: bool = False) -> Non
     """Connection, convergence predicted and measured, weak points; with --scenario what is seen.
 
     Args:
-        source: A graph's name, a graph file, or the folder of the Intel lab data.
+        source: A graph's name, a graph file, or a folder of recorded links.
         json: Print one JSON object.
     """
     with user_errors():
@@ -60,7 +60,7 @@ def compare(
     with intervals.
 
     Args:
-        sources: Names of graphs, graph files, or the folder of the Intel lab data.
+        sources: Names of graphs, graph files, or a folder of recorded links.
         seeds: How many graphs of a random family are drawn, from --seed on.
         json: Print one JSON object.
     """
@@ -90,7 +90,7 @@ def generate(
     """Write a graph file: the suffix decides, .graphml, .edges or .csv.
 
     Args:
-        source: A graph's name, another graph file, or the folder of the Intel lab data.
+        source: A graph's name, another graph file, or a folder of recorded links.
         out: The file; it must not exist.
         json: Print one JSON object.
     """
@@ -129,7 +129,7 @@ def show(
     """Draw the graph with its weights, and its spectrum beside it.
 
     Args:
-        source: A graph's name, a graph file, or the folder of the Intel lab data.
+        source: A graph's name, a graph file, or a folder of recorded links.
         out: The picture: .png, .svg or .pdf.
         layout: Where nodes are drawn: at their places where they have any, else laid out.
         json: Print one JSON object.

@@ -25,15 +25,11 @@ from concord.features.control.options import (
 from concord.features.control.pitch import pitch, pitch_controller
 from concord.features.control.suspension import suspension, suspension_controller
 from concord.plants.linear import LinearPlant
-from concord.scenarios.definitions.closed_loop import control_node
+from concord.scenarios.definitions.closed_loop import OPEN, check_control, controlled
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import ControlledPlant
-
-OPEN, TRUTH = "open", "truth"
-
 
 AnyControlled = CruiseControl | Suspension | AircraftPitch | MotorSpeed | MotorPosition
 
@@ -90,29 +86,6 @@ def _made(name: str, nodes: int, noise: str) -> LinearPlant:
 def plant_of(scenario: Scenario) -> LinearPlant:
     """The plant of a scenario, made once."""
     return _made(scenario.name, scenario.nodes, controlled(scenario).noise)
-
-
-def controlled(scenario: Scenario) -> ControlledPlant:
-    """The plant of a scenario that has a controller."""
-    assert isinstance(scenario.plant, ControlledPlant), "the catalogue chose this file"
-    return scenario.plant
-
-
-def check_control(scenario: Scenario) -> None:
-    """Refuse a --control that there is not.
-
-    Raises:
-        ValueError: naming the option, its value, and what there is.
-    """
-    node, control = control_node(scenario), controlled(scenario).control
-    if node is None and control not in (OPEN, TRUTH):
-        raise ValueError(
-            f"--control {control}: must be the number of a node, {TRUTH!r} or {OPEN!r}"
-        )
-    if node is not None and node >= scenario.nodes:
-        raise ValueError(
-            f"--control {node}: there are nodes 0 to {scenario.nodes - 1}; choose one of them"
-        )
 
 
 def _warnings(scenario: Scenario) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ the weights of the bids.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -40,9 +40,11 @@ from concord.features.measurement_bus.receivers import (
     receiver_definition,
 )
 from concord.features.measurement_bus.reception import Receiver, ReceiverNode, SensorNode
+from concord.features.measurement_bus.stochastic import StochasticSystem
+from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.features.measurement_bus.stochastic_ukf import Received
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.nodes.commands import Inject, Kill, Restart
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.links import Links
@@ -65,6 +67,13 @@ from concord.topology.names import unknown_name
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"
 _SILENT = {ZERO_ORDER: zero_order_hold, ZERO_INPUT: zero_input}
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
+
+
+class SystemTruth(ScenarioPlant, Protocol):
+    """A plant whose truth starts about a known mean (n,)."""
+
+    @property
+    def prior_mean(self) -> np.ndarray: ...
 
 
 class PlantOnBus(NamedTuple):
@@ -96,6 +105,27 @@ class PlantOnBus(NamedTuple):
     def sensors(self) -> int:
         """Number of sensors N."""
         return len(self.system.sizes)
+
+
+def plant_of_system(truth: SystemTruth, system: StochasticSystem) -> PlantOnBus:
+    """A plant whose sensors and nodes know its system, with weight 1 for every sensor's bids."""
+    ends = np.cumsum([0, *system.sizes]).tolist()
+    return PlantOnBus(
+        truth,
+        SystemModel(system),
+        lambda node: (
+            None if node == RECEIVER else SystemSensor(system, slice(ends[node - 1], ends[node]))
+        ),
+        system,
+        scaled_unscented(len(truth.prior_mean)),
+        equal_weights(system.sizes),
+    )
+
+
+def equal_weights(sizes: Sequence[int]) -> WeightsAt:
+    """Weights 1 for the bids of sensors that read so many numbers each."""
+    weights = tuple(np.eye(size) for size in sizes)
+    return lambda _: weights
 
 
 PlantOf = Callable[[Scenario], PlantOnBus]

@@ -6,11 +6,12 @@ sensor j. `concord.features.measurement_bus.measured` has the options.
 
 from functools import cache
 
-import numpy as np
-
 from concord.features.measurement_bus import meng2025_plant as meng2025
-from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
-from concord.features.measurement_bus.measurement_bus import RECEIVER
+from concord.features.measurement_bus.measured import (
+    PlantOnBus,
+    measured_definition,
+    plant_of_system,
+)
 from concord.features.measurement_bus.options import (
     Reception,
     RecommendedFilter,
@@ -18,7 +19,6 @@ from concord.features.measurement_bus.options import (
     StochasticReceiver,
 )
 from concord.features.measurement_bus.sensed import sensors_on_a_bus
-from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
@@ -33,22 +33,11 @@ def paper_points(alpha: float = 1.0) -> SigmaPointRule:
     return scaled_unscented(meng2025.STATES, alpha, beta=2.0, kappa=0.0)
 
 
-def _sensor(node: int) -> SystemSensor | None:
-    return None if node == RECEIVER else SystemSensor(SYSTEM, slice(node - 1, node))
-
-
 @cache
 def plant_on_bus() -> PlantOnBus:
     """The example, its sensors and its points."""
-    return PlantOnBus(
-        meng2025.plant(sensors_on_a_bus(SENSORS)),
-        SystemModel(SYSTEM),
-        _sensor,
-        SYSTEM,
-        paper_points(),
-        lambda _: (np.eye(1),) * SENSORS,
-        first_slot=1,
-    )
+    truth = meng2025.plant(sensors_on_a_bus(SENSORS))
+    return plant_of_system(truth, SYSTEM)._replace(points=paper_points(), first_slot=1)
 
 
 DEFINITION = measured_definition(

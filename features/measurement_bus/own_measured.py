@@ -2,21 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any, cast
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
+from concord.features.measurement_bus.measured import (
+    PlantOnBus,
+    equal_weights,
+    measured_definition,
+    plant_of_system,
+)
 from concord.features.measurement_bus.measurement_bus import RECEIVER, WeightsAt
 from concord.features.measurement_bus.options import Reception, RecommendedFilter, SensorSlots
 from concord.features.measurement_bus.sensed import SensedPlant, sensors_on_a_bus
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
-from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
-from concord.features.sets.bounded_network import on_the_bound
-from concord.features.sets.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
-from concord.features.sets.bounded_plant import BoundedOutput, BoundedPlant, system_of
 from concord.filters.filter import Filter
 from concord.filters.sigma_points import scaled_unscented
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
@@ -32,9 +32,22 @@ BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]
 """A number or a matrix (m_j, m_j) for each sensor, or a function of the step that gives them."""
 
 
+@runtime_checkable
+class PlantForBus(Protocol):
+    """A plant of a kind of its own, which says how it sits behind a measurement bus."""
+
+    def on_a_bus(self, sensors: Sequence[Any]) -> PlantOnBus:
+        """Return the plant with its sensors, in the order of their slots.
+
+        Raises:
+            ValueError: sensors that do not fit the plant.
+        """
+        ...
+
+
 def on_a_measurement_bus(
-    plant: OwnPlant | BoundedPlant | SensedPlant,
-    sensors: Sequence[OwnSensor] | Sequence[BoundedOutput] = (),
+    plant: OwnPlant | SensedPlant | PlantForBus,
+    sensors: Sequence[Any] = (),
     bus: BusChoice | None = None,
     receiver: FilterBase | Filter | str = "recommended",
     *,
@@ -46,8 +59,8 @@ def on_a_measurement_bus(
     """A scenario whose sensors 1..N share a bus to a receiver, node 0; a step is one slot.
 
     Args:
-        plant: truth and model: an `OwnPlant`, a `BoundedPlant` (which sets need), or a
-            `SensedPlant` with stochastic nonlinearities.
+        plant: truth and model: an `OwnPlant`, a `SensedPlant` with stochastic nonlinearities, or
+            a `PlantForBus` such as a `BoundedPlant` (which sets need).
         sensors: of that plant, in the order of their slots; a `SensedPlant` has its own.
         bus: kind of bus and schedule; FlexRay with a static slot for half of the sensors, and one
             slot for which the others contend, when left out.
@@ -80,18 +93,19 @@ def on_a_measurement_bus(
     return user_definition(kept_source(definition)).defaults
 
 
-def _plant_on_bus(plant: Any, sensors: Sequence[Any]) -> PlantOnBus:
-    kinds: tuple[tuple[type, Any, Callable[..., PlantOnBus]], ...] = (
-        (OwnPlant, OwnSensor, _gaussian),
-        (BoundedPlant, BoundedOutput, _bounded),
-        (SensedPlant, (), _stochastic),
-    )
-    for kind, wanted, build in kinds:
-        if isinstance(plant, kind):
-            if any(not isinstance(sensor, wanted) for sensor in sensors):
-                word = wanted.__name__ if isinstance(wanted, type) else "the sensors of its own"
-                raise ValueError(f"sensors: a {kind.__name__} takes {word} and no others")
-            return build(cast(Any, plant), tuple(sensors))
+def _plant_on_bus(plant: object, sensors: Sequence[Any]) -> PlantOnBus:
+    if isinstance(plant, PlantForBus):
+        return plant.on_a_bus(sensors)
+    if isinstance(plant, OwnPlant):
+        if any(not isinstance(sensor, OwnSensor) for sensor in sensors):
+            raise ValueError("sensors: an OwnPlant takes OwnSensor and no others")
+        return _gaussian(plant, tuple(sensors))
+    if isinstance(plant, SensedPlant):
+        if sensors:
+            raise ValueError("sensors: a SensedPlant takes the sensors of its own and no others")
+        placed = replace(plant, placement=sensors_on_a_bus(len(plant.system.sizes)))
+        # This plant has no measurement at step 0.
+        return plant_of_system(placed, plant.system)._replace(first_slot=1)
     raise ValueError(
         f"plant of type {type(plant).__name__}: give an OwnPlant, a BoundedPlant or a SensedPlant"
     )
@@ -128,49 +142,8 @@ def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
         lambda node: None if node == RECEIVER else sensors[node - 1],
         system,
         scaled_unscented(plant.states),
-        _equal_weights(system.sizes),
+        equal_weights(system.sizes),
     )
-
-
-def _bounded(plant: BoundedPlant, sensors: tuple[BoundedOutput, ...]) -> PlantOnBus:
-    bounded = system_of(plant, sensors)
-    system = as_gaussian(bounded, plant.states)
-    truth = BoundedOnBus(
-        bounded,
-        plant.prior_mean,
-        plant.prior_shape,
-        partial(on_the_bound, size=len(plant.noise_shape)),
-        inside,
-        plant.state_names or tuple(f"x{i}" for i in range(plant.states)),
-        plant.state_units or ("",) * plant.states,
-        plant.time_step_s,
-    )
-    return _of_system(truth, system)._replace(bounded=bounded)
-
-
-def _stochastic(plant: SensedPlant, sensors: tuple[()]) -> PlantOnBus:
-    placed = replace(plant, placement=sensors_on_a_bus(len(plant.system.sizes)))
-    # This plant has no measurement at step 0.
-    return _of_system(placed, plant.system)._replace(first_slot=1)
-
-
-def _of_system(truth: BoundedOnBus | SensedPlant, system: StochasticSystem) -> PlantOnBus:
-    ends = np.cumsum([0, *system.sizes]).tolist()
-    return PlantOnBus(
-        truth,
-        SystemModel(system),
-        lambda node: (
-            None if node == RECEIVER else SystemSensor(system, slice(ends[node - 1], ends[node]))
-        ),
-        system,
-        scaled_unscented(len(truth.prior_mean)),
-        _equal_weights(system.sizes),
-    )
-
-
-def _equal_weights(sizes: Sequence[int]) -> WeightsAt:
-    weights = tuple(np.eye(size) for size in sizes)
-    return lambda _: weights
 
 
 def _weights_at(weights: BidWeights, sizes: Sequence[int]) -> WeightsAt:

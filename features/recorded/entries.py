@@ -9,3 +9,13 @@ SCENARIOS = {
         f"{_HERE}.options:RecordedRobots",
     ),
 }
+GRAPHS = {
+    "intel-lab": (
+        f"{_HERE}.intel_lab:BOTH_WAYS",
+        "The links of the Intel Berkeley Research lab that deliver frames both ways.",
+    ),
+    "intel-lab-directed": (
+        f"{_HERE}.intel_lab:ONE_WAY",
+        "The links of the Intel Berkeley Research lab, some of which go one way.",
+    ),
+}

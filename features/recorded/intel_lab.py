@@ -7,7 +7,7 @@ reader skips it. Mote 0 is the base station, which has no position and is no nod
 frames no mote hears, or that hears no mote (mote 5), is left out.
 """
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +15,11 @@ from numpy.typing import NDArray
 
 from concord.topology.adjacency import from_links, links_of
 from concord.topology.analysis import components
-from concord.topology.network import Network, part_of
+from concord.topology.network import GraphSource, Network, part_of
 
 # A link delivers at least one frame in ten; the rest is noise of the measurement.
 LEAST_DELIVERY = 0.1
 LOCATIONS, CONNECTIVITY = "mote_loc.txt", "connectivity.txt"
-DATA_VARIABLE = "CONCORD_INTEL_LAB"
-
-
-def is_intel_lab(folder: str | Path) -> bool:
-    """Return whether a folder holds the two files."""
-    return all((Path(folder) / file).is_file() for file in (LOCATIONS, CONNECTIVITY))
 
 
 def intel_lab(folder: str | Path, nodes: int | None = None, *, one_way: bool = False) -> Network:
@@ -134,3 +128,8 @@ def _records(file: Path) -> list[tuple[str, list[str]]]:
         for number, line in enumerate(lines, start=1)
         if line.strip()
     ]
+
+
+_FOLDER = (LOCATIONS, CONNECTIVITY), "CONCORD_INTEL_LAB"
+BOTH_WAYS = GraphSource("the Intel lab", intel_lab, *_FOLDER)
+ONE_WAY = GraphSource("the Intel lab", partial(intel_lab, one_way=True), *_FOLDER)

@@ -3,12 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from concord.features.sets.bounded import BoundedSystem
 from concord.plants.own_plant import covariance_of, require_description, vector_of
+
+if TYPE_CHECKING:
+    from concord.features.measurement_bus.measured import PlantOnBus
 
 MatrixOrAt = ArrayLike | Callable[[int], ArrayLike]
 """A matrix, or a function of the step that gives it."""
@@ -75,6 +79,17 @@ class BoundedPlant:
     def noise_input(self, step: int) -> np.ndarray:
         """B (n, q) of a step."""
         return _at(self.B, step)
+
+    def on_a_bus(self, sensors: "Sequence[BoundedOutput]") -> "PlantOnBus":
+        """Return the plant with its outputs behind a measurement bus.
+
+        Raises:
+            ValueError: sensors of another kind, or that do not fit the plant.
+        """
+        # Only here: a plant is described without a bus.
+        from concord.features.sets.bounded_on_a_bus import own_on_a_bus
+
+        return own_on_a_bus(self, sensors)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,15 +9,16 @@ from functools import cache, partial
 
 import numpy as np
 
-from concord.features.measurement_bus.measured import PlantOnBus, measured_definition
-from concord.features.measurement_bus.measurement_bus import RECEIVER
+from concord.features.measurement_bus.measured import (
+    PlantOnBus,
+    measured_definition,
+    plant_of_system,
+)
 from concord.features.measurement_bus.options import Reception, SensorSlots
-from concord.features.measurement_bus.stochastic_models import SystemModel, SystemSensor
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded_network import on_the_bound
 from concord.features.sets.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
 from concord.features.sets.options import BoundedReceiver, EllipsoidReceiver
-from concord.filters.sigma_points import scaled_unscented
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.types.buses import FlexRay
@@ -47,15 +48,8 @@ def plant_on_bus(noise: str) -> PlantOnBus:
         ("1",) * liu2021.STATES,
     )
     system = as_gaussian(liu2021.SYSTEM, liu2021.STATES)
-    return PlantOnBus(
-        plant,
-        SystemModel(system),
-        lambda node: None if node == RECEIVER else SystemSensor(system, slice(node - 1, node)),
-        system,
-        scaled_unscented(liu2021.STATES),
-        _weights,
-        bounded=liu2021.SYSTEM,
-        held_half_width=1.0,
+    return plant_of_system(plant, system)._replace(
+        weights=_weights, bounded=liu2021.SYSTEM, held_half_width=1.0
     )
 
 

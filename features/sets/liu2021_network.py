@@ -8,10 +8,10 @@ by a sixth in every step. `--noise matched` draws noise on its bound, `paper` ta
 
 from functools import cache
 
-from concord.features.control.scenario import OPEN, check_control, controlled
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded_network import BoundedNetwork
 from concord.features.sets.options import EllipsoidIntersection, UnstableBounded
+from concord.scenarios.definitions.closed_loop import OPEN, check_control, controlled
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork

@@ -20,10 +20,11 @@ from concord.features.sets.set_shapes import Ellipsoids, Shape, Zonotopes, set_f
 from concord.features.sets.window_sets import WindowSets
 from concord.filters.fusion.packed import packed_length
 from concord.filters.gaussian import Gaussian
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.lane_rule import LocalStep
-from concord.nodes.rules.local_filter import LocalFilters
+from concord.nodes.rules.local_filter import LocalFilters, Model
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.estimators import at_node, in_batch
 from concord.scenarios.filters import build_filter
@@ -99,6 +100,21 @@ def baseline_filter(
     return Gaussian(np.array([b.mean for b in bounds]), np.array([b.cov for b in bounds]))
 
 
+def set_at_step(earlier: EarlierBelief, step: int, model: Model) -> Gaussian:
+    """Carry a belief, which is a set, to a step under all noise within its bound.
+
+    It holds the truth where one control drove all steps between, or none.
+    """
+    if earlier.step == step:
+        return earlier.belief
+    bounded, shape = cast(BoundedModel, model), Ellipsoids(len(earlier.belief.mean))
+    kept = shape.containing(earlier.belief)
+    for number in range(earlier.step, step):
+        moved = bounded.transition(kept.centre, earlier.control, number)
+        kept = shape.moved(kept, moved, *bounded.motion(number))
+    return shape.bounds(kept)
+
+
 def _bounded_model(model: object, scenario: Scenario | None = None) -> BoundedModel:
     if not isinstance(model, BoundedModel):
         what = "this rule" if scenario is None else f"rule {scenario.rule.name} on {scenario.name}"
@@ -116,7 +132,7 @@ def _of_sets(make: MakeShape, share: ShareKind) -> Rule:
         partial(at_node, SetAtNode, build, share),
         partial(in_batch, build, share),
         check=check_bounded,
-        set_valued=True,
+        set_at_step=set_at_step,
         baseline_filter=partial(baseline_filter, make),
         weighted=False,
     )
@@ -135,7 +151,7 @@ LABELLED_ELLIPSOID = Rule(
     lambda context: LabelledFlooding(**node_parts(WindowSets, context)),
     lambda context: BatchedFlooding(**batch_parts(WindowSets, context)),
     check=check_labelled_sets,
-    set_valued=True,
+    set_at_step=set_at_step,
     baseline_filter=partial(baseline_filter, Ellipsoids),
     lacking=without_arrays,
     weighted=False,

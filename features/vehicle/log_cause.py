@@ -20,8 +20,11 @@ from concord.features.vehicle.plant.drive_log import logs_road_wheels, read_log
 from concord.features.vehicle.plant.model import tanh_tyre
 from concord.features.vehicle.plant.parameters import Car, ProcessNoise
 from concord.features.vehicle.plant.validity import SLOWEST_M_S
-from concord.features.vehicle.slip_evidence import reference_of
+from concord.features.vehicle.slip_evidence import reference_of, slip_evidence
+from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings, readings_between
+from concord.results.innovations.sentence import ESTIMATES_CONFIDENCE
+from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
 
 LONGEST_S = 30.0
@@ -33,15 +36,25 @@ _DRIVER: dict[tuple[str, ...], str] = {
 """Values that belong to a driver and a road: other drives of the car have others."""
 
 
+def explained(setup: Setup, belief: Gaussian, counted: np.ndarray, cure: str) -> Explanation:
+    """What a logged drive tells of its run, from the steps (S,) that count, some of which do.
+
+    `belief` (S, n) is that of the filter that hears everything.
+    """
+    slip = slip_evidence(setup, belief, counted, LONGEST_S, ESTIMATES_CONFIDENCE)
+    cause = log_cause(setup, counted)
+    misread = "look at units, signs and stamps in columns.toml before car.toml"
+    return Explanation(cure, cause, misread if cause else "", slip.in_words(), slip.anees)
+
+
 def log_cause(setup: Setup, counted: np.ndarray) -> str:
     """The sentence on the cause, from the steps (S,) that count.
 
-    Empty without a log of a car, and where no value of its file is wrong beyond chance. A log
-    without side slip does not tell values of the tyres from those that cover their errors.
+    Empty where no value of the car's file is wrong beyond chance. A log without side slip does not
+    tell values of the tyres from those that cover their errors.
     """
     plant = setup.scenario.plant
-    if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
-        return ""
+    assert isinstance(plant, VehicleNetwork) and plant.data is not None, "a drive was logged"
     channels, car = read_log(plant.data)
     car = structs.replace(car, process_noise=_times(car, plant.process_noise))
     log = logged_readings(channels, car, setup.time_step_s, SLOWEST_M_S)

@@ -41,8 +41,10 @@ from concord.features.vehicle.plant.parameters import Car
 from concord.features.vehicle.plant.replay import replayed
 from concord.features.vehicle.plant.sensors import SensorError
 from concord.features.vehicle.plant.validity import outside_model
+from concord.filters.gaussian import Gaussian
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.scenario_definition import Explanation, ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
@@ -232,6 +234,19 @@ def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:
     return outside_model(_model(scenario).single_track, states)
 
 
+def _explain(setup: Setup, beliefs: Gaussian, counted: np.ndarray) -> Explanation:
+    data = vehicle_of(setup.scenario).data
+    if data is None:
+        return Explanation()
+    cure = f"`concord identify --data {data}` fits the car's model to the log"
+    if len(counted) > 1 or not counted.any():
+        return Explanation(cure)
+    # Only here: a node does not explain its run.
+    from concord.features.vehicle.log_cause import explained
+
+    return explained(setup, Gaussian(beliefs.mean[0], beliefs.cov[0]), counted[0], cure)
+
+
 def _check(scenario: Scenario) -> None:
     if scenario.nodes != len(NODES):
         raise ValueError(
@@ -278,4 +293,6 @@ DEFINITION = ScenarioDefinition(
     without_data=_without_data,
     late_steps=_late_steps,
     outside=_outside,
+    explain=_explain,
+    node_names=NODES,
 )

@@ -64,15 +64,13 @@ class SlipEvidence(NamedTuple):
 
 def slip_evidence(
     setup: Setup, belief: Gaussian, counted: np.ndarray, longest_s: float, confidence: float
-) -> SlipEvidence | None:
+) -> SlipEvidence:
     """Judge the beliefs (S, n) of the filter that hears everything, in the steps (S,) that count.
 
-    None without a log of a car. A reference is sought in the first `longest_s` from the first step
-    that counts.
+    A reference is sought in the first `longest_s` from the first step that counts.
     """
     plant = setup.scenario.plant
-    if not isinstance(plant, VehicleNetwork) or plant.data is None or not counted.any():
-        return None
+    assert isinstance(plant, VehicleNetwork) and plant.data is not None, "a drive was logged"
     channels, car = read_log(plant.data)
     logged = is_logged(channels, "side_slip")
     if logged:

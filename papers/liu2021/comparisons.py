@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.features.measurement_bus.measurement_bus import MeasurementBus
-from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
 from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.delivered import bus_of_outputs, delivered
 from concord.features.sets.filters.bus_readings import MeasuredPlant
 from concord.features.sets.filters.criterion import plain_trace
 from concord.features.sets.filters.recursive_estimator import optimal_step

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.features.measurement_bus.measurement_bus import MeasurementBus
-from concord.features.measurement_bus.measurement_runs import delivered
 from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.delivered import delivered
 from concord.features.sets.filters.bus_readings import augmented
 from concord.features.sets.filters.ellipsoid import Ellipsoid, squared
 from concord.filters.lanes import join_columns

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 import numpy as np
 
-from concord.features.vehicle.plant.parameters import GRAVITY_M_S2
 from concord.plants.recorded.channels import ChannelReadings, channel_of
 from concord.plants.recorded.log_files import LogFile, open_log
 
@@ -30,7 +29,7 @@ UNITS = {
     "mph": 0.44704,
     "kn": 1852 / 3600,
     "m/s2": 1.0,
-    "g": GRAVITY_M_S2,
+    "g": 9.81,
 }
 """Factor from a unit to SI."""
 _ALIKE = (

@@ -8,8 +8,6 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from concord.features.vehicle.log_cause import LONGEST_S, log_cause
-from concord.features.vehicle.slip_evidence import slip_evidence
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import mean_of_known
 from concord.results.figures.intervals import Interval, positive_mean_t
@@ -30,6 +28,7 @@ from concord.results.innovations.sentence import (
 )
 from concord.results.records.trace import Trace
 from concord.results.run_verdict import anees_interval
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import (
     HearsAll,
     Innovations,
@@ -102,12 +101,8 @@ def judged(
     figures = msgspec.structs.replace(figures, outside=outside.shares)
     nis, anees = (_interval_of(found, ESTIMATES_CONFIDENCE) for found in (nis_per_step(own), nees))
     suspicion = _interval_of(nees, 0.95)
-    named, slip = "", None
-    if len(counted) == 1:
-        named = log_cause(setup, counted[0])
-        belief = Gaussian(*(values[0] for values in heard.belief))
-        slip = slip_evidence(setup, belief, counted[0], LONGEST_S, ESTIMATES_CONFIDENCE)
-    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, named, slip)
+    explained = definition_of(setup.scenario).explain(setup, heard.belief, counted)
+    sentence = innovation_verdict(setup.scenario, diagnosis, nis, anees, suspicion, explained)
     return figures, sentence + outside_in_words(outside.shares)
 
 

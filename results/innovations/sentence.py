@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from concord.features.vehicle.options import VehicleNetwork
-from concord.features.vehicle.slip_evidence import SlipEvidence
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
 from concord.results.innovations.diagnosis import (
@@ -14,6 +12,7 @@ from concord.results.innovations.diagnosis import (
 )
 from concord.results.run_verdict import beyond
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.types.filters import UnscentedFilter
 
 ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
@@ -21,7 +20,7 @@ ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
 `FALSE_ALARMS` of the runs that are consistent."""
 
 _ABSURD = 100.0
-"""NIS of a logged channel that no noise explains."""
+"""NIS of a channel that no noise explains."""
 _MATTERS = 0.5
 """Standard deviations of a mean beside which small innovations are no caution."""
 _ALL_ALIKE = {
@@ -63,16 +62,14 @@ def innovation_verdict(
     nis: Interval,
     anees: Interval,
     suspicion: Interval,
-    named: str = "",
-    slip: SlipEvidence | None = None,
+    explained: Explanation,
 ) -> str:
     """The verdict, computed from the diagnosis and from the nodes' own figures.
 
     `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
     `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
-    95 % interval that the run's figures show. `named` is the cause in the file of a logged car,
-    where one was found (`log_cause`); it takes the place of the cause that channels point to.
-    `slip` judges the errors of its side slip, where the log tells them.
+    95 % interval that the run's figures show. The cause of `explained`, if there is one, takes the
+    place of the cause that channels point to.
     """
     if diagnosis.cause is Cause.UNKNOWN:
         return (
@@ -80,45 +77,49 @@ def innovation_verdict(
             "steps, so use more --steps"
         )
     if diagnosis.cause is not Cause.NONE:
-        return _beside_errors(*_of_readings(scenario, diagnosis, named), anees, slip)
+        return _beside_errors(*_of_readings(scenario, diagnosis, explained), anees, explained)
     lead, said = _of_estimates(scenario, nis, anees, suspicion)
-    if named:
-        lead, said = "undecided" if lead == "consistent" else lead, f"{said}; yet {named}"
+    if explained.cause:
+        lead = "undecided" if lead == "consistent" else lead
+        said += f"; yet {explained.cause}"
     if lead == "underconfident":  # the fault of the rule, not of the filter that hears everything
         return f"{lead}: {said}"
-    return _beside_errors(lead, said, anees, slip)
+    return _beside_errors(lead, said, anees, explained)
 
 
-def _beside_errors(lead: str, said: str, anees: Interval, slip: SlipEvidence | None) -> str:
+def _beside_errors(lead: str, said: str, anees: Interval, explained: Explanation) -> str:
     """The verdict on readings, unless errors of estimates show more, or another confidence."""
-    found = anees if slip is None else slip.anees
-    errors = f"ANEES is {_short(anees.value)} where 1 is right" if slip is None else slip.in_words()
+    told = bool(explained.errors)
+    found = Interval(*explained.anees) if told else anees
+    errors = explained.errors or f"ANEES is {_short(anees.value)} where 1 is right"
     claims = beyond(found)
     if lead != "overconfident" and claims == "overconfident":
         return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
-    if slip is None:
+    if not told:
         return f"{lead}: {said}"
     if lead == "underconfident" and not claims:
-        # Noise that covers lasting errors of the tyres leaves small innovations as well.
-        of_slip = "undecided" if np.isnan(found.low) else "consistent"
-        return f"{of_slip}: {errors}; innovations alone would say {lead}: {said}"
+        # Noise that covers lasting errors of the model leaves small innovations as well.
+        of_errors = "undecided" if np.isnan(found.low) else "consistent"
+        return f"{of_errors}: {errors}; innovations alone would say {lead}: {said}"
     return f"{lead}: {said}; {errors}"
 
 
-def _of_readings(scenario: Scenario, diagnosis: Diagnosis, named: str) -> tuple[str, str]:
+def _of_readings(
+    scenario: Scenario, diagnosis: Diagnosis, explained: Explanation
+) -> tuple[str, str]:
     assert diagnosis.channel is not None and diagnosis.test is not None, "a cause has a channel"
     test = diagnosis.test
     lead, besides = _lead(diagnosis), _besides(diagnosis)
     figures = f"NIS of {label(diagnosis.channel)} is {_short(test.nis.value)} where 1 is right"
-    if named and test.nis.value > _ABSURD:
-        return lead, f"{figures}; look at units, signs and stamps in columns.toml before car.toml"
-    if named:
-        return lead, f"{figures}{besides if lead == 'biased' else ''}; {named}"
+    if explained.misread and test.nis.value > _ABSURD:
+        return lead, f"{figures}; {explained.misread}"
+    if explained.cause:
+        return lead, f"{figures}{besides if lead == 'biased' else ''}; {explained.cause}"
     said = {**_ALL_ALIKE, **_OF_ONE}[diagnosis.cause].format(
         figures=figures,
         mean=_mean(test, diagnosis.channel),
         correlation=test.correlation,
-        cure=_cure(scenario),
+        cure=explained.cure,
         learn=_learn(scenario),
         or_coloured="" if diagnosis.others else ", or this sensor's errors are not white",
         or_biased=_or_biased(test, diagnosis.channel),
@@ -204,13 +205,6 @@ def _or_biased(test: ChannelTest, channel: Channel) -> str:
     if test.mean.low <= 0 <= test.mean.high:
         return ""
     return f", or it is biased by {test.mean.value:.2g} {channel.unit}".rstrip()
-
-
-def _cure(scenario: Scenario) -> str:
-    plant = scenario.plant
-    if isinstance(plant, VehicleNetwork) and plant.data is not None:
-        return f"`concord identify --data {plant.data}` fits the car's model to the log"
-    return "raise Q, or model that part"
 
 
 def _learn(scenario: Scenario) -> str:

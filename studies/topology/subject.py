@@ -1,6 +1,5 @@
 """Subject of the `concord topology` commands: a graph, its weights and its links."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +8,7 @@ import msgspec
 import numpy as np
 from scipy.sparse import csr_array
 
-from concord.features.recorded.intel_lab import DATA_VARIABLE, is_intel_lab
+from concord.entries import chosen, entries
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.links import link_up
 from concord.scenarios.preparation import prepare
@@ -51,7 +50,7 @@ class SubjectOptions:
     seed: int = 1
     """Seed of everything random."""
     data: Path | None = None
-    """Folder of the Intel lab data, or of the scenario's."""
+    """Folder of recorded links, or of the scenario's data."""
 
 
 class Subject(NamedTuple):
@@ -79,8 +78,8 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
     """Return the subject that source and options mean.
 
     Args:
-        source: a graph's name, a graph file, or the folder of the Intel lab data; "" for the
-            scenario's own graph.
+        source: a graph's name, a graph file, or a folder of recorded links; "" for the scenario's
+            own graph.
         connected: refuse a graph in pieces.
 
     Raises:
@@ -91,8 +90,8 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
     asked = parse_links(options.links or "static")
     if not source and not asked.graphs:
         raise ValueError(
-            "which graph? Give a name (ring, geometric, ...), a graph file, the folder of the "
-            "Intel lab data, or --scenario"
+            "which graph? Give a name (ring, geometric, ...), a graph file, a folder of recorded "
+            "links, or --scenario"
         )
     turns = tuple(_network(name, options).adjacency for name in asked.graphs)
     network = Network(union(turns)) if turns else _network(source, options)
@@ -105,7 +104,7 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
     if plan.kind == "measured" and network.delivery is None:
         raise ValueError(
             f"links measured: graph {source} has no chances of delivery; take a file with numbers "
-            "between 0 and 1 on its links, the Intel lab, or links bernoulli:0.1"
+            "between 0 and 1 on its links, recorded links, or links bernoulli:0.1"
         )
     if plan.kind == "moving":
         raise ValueError(
@@ -121,12 +120,18 @@ def graph_name(source: str) -> str:
     """Return the graph's name for a source: files and folders are looked at for what they are."""
     path = Path(source)
     if path.is_dir():
-        if not is_intel_lab(path):
-            raise ValueError(
-                f"{source}: no folder of the Intel lab data, which holds mote_loc.txt and "
-                "connectivity.txt; give such a folder, a graph file, or the name of a graph"
-            )
-        return f"intel-lab-directed:{source}"
+        kinds = {name: chosen("GRAPHS", name) for name in entries("GRAPHS")}
+        # Where several graphs are read from a folder, the last of the table has most of its links.
+        for name, kind in reversed(kinds.items()):
+            if kind.is_at(path):
+                return f"{name}:{source}"
+        known = {
+            f"{kind.name} data, which holds {' and '.join(kind.files)}" for kind in kinds.values()
+        }
+        raise ValueError(
+            f"{source}: no folder of {' or '.join(sorted(known)) or 'recorded links'}; give such a "
+            "folder, a graph file, or the name of a graph"
+        )
     if path.is_file():
         directed = not is_symmetric(read_network(path, directed=True).adjacency)
         # In a list each edge may stand for both directions: one-way lists are asked for by name.
@@ -134,23 +139,22 @@ def graph_name(source: str) -> str:
         return f"directed:{source}" if directed and not listed else f"file:{source}"
     if (path.suffix or len(path.parts) > 1) and ":" not in source:
         raise ValueError(
-            f"{source}: there is no such file or folder; give a graph file, the folder of the "
-            "Intel lab data, or the name of a graph"
+            f"{source}: there is no such file or folder; give a graph file, a folder of recorded "
+            "links, or the name of a graph"
         )
     return source
 
 
 def _network(source: str, options: SubjectOptions) -> Network:
     name = graph_name(source)
-    read = ":" in name or name.startswith("intel-lab")
+    read = ":" in name or name in entries("GRAPHS")
     nodes = options.nodes if read or options.nodes is not None else _DEFAULT_NODES
-    data = options.data or os.environ.get(DATA_VARIABLE)
-    return build_network(name, nodes, options.seed, data=None if data is None else str(data))
+    return build_network(name, nodes, options.seed, data=options.data and str(options.data))
 
 
 def _with_data(name: str, data: Path | None) -> str:
     """Return the name of a graph that is read from a folder of data, with that folder."""
-    return f"{name}:{data}" if data is not None and name.startswith("intel-lab") else name
+    return f"{name}:{data}" if data is not None and name in entries("GRAPHS") else name
 
 
 def _of_scenario(source: str, options: SubjectOptions) -> Subject:

@@ -10,44 +10,32 @@ import xarray
 from rich.console import Console
 
 from concord.experiments.__main__ import main
-from concord.features.vehicle.slip_evidence import SlipEvidence
 from concord.results.figures.intervals import Interval
 from concord.results.figures.summary import Figures, summarise
 from concord.results.figures.summary_table import lines
-from concord.results.innovations.channel_test import ChannelTest
 from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
 from concord.results.innovations.of_run import channel_table, run_innovations
-from concord.results.innovations.sentence import innovation_verdict
 from concord.results.records.trace import read_trace
 from concord.results.run_verdict import consistency_in_words
 from concord.runtime.drivers import in_memory
+from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
 from concord.studies import near_agreement
 from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
 from concord.studies.near_agreement import departures
+from tests.experiments.innovation_verdicts import (
+    FITTING,
+    OFF,
+    OVER,
+    TOO_SMALL,
+    UNKNOWN,
+    YAW,
+    said,
+    verdict,
+)
 from tests.experiments.support import scenario, small
 
 pytestmark = pytest.mark.slow
-
-FITTING = Interval(1.0, 0.9, 1.1)
-UNKNOWN = Interval(np.nan, np.nan, np.nan)
-YAW = Channel(2, 0, 0, "yaw rate", "rad/s")
-OFF = ChannelTest(
-    updates=200,
-    nis=Interval(14.0, 12.0, 16.0),
-    mean=Interval(0.02, 0.018, 0.022),
-    shift=3.0,
-    spread=5.0,
-    correlation=0.4,
-    p_mean=0.0,
-    p_spread=0.0,
-    p_white=0.0,
-)
-
-
-def said(cause: Cause, others: int = 0, name: str = "oscillator", **options) -> str:
-    diagnosis = Diagnosis(cause, YAW, OFF, others)
-    return innovation_verdict(scenario(name, **options), diagnosis, FITTING, FITTING, FITTING)
 
 
 @pytest.mark.parametrize(
@@ -68,14 +56,6 @@ def test_each_cause_has_its_words(cause: Cause, words: str):
     sentence = said(cause)
     assert sentence.startswith("overconfident: NIS of node 2's yaw rate is 14 where 1 is right")
     assert words in sentence
-
-
-def test_identification_is_named_only_where_there_is_a_log():
-    assert "identify" not in said(Cause.MODEL)
-    assert "identify" not in said(Cause.MODEL, name="vehicle-network")
-    logged = said(Cause.MODEL, name="vehicle-network", data="drives/one")
-    assert "`concord identify --data drives/one` fits the car's model to the log" in logged
-    assert "identify" not in said(Cause.OFFSET, name="vehicle-network", data="drives/one")
 
 
 def test_other_channels_are_counted():
@@ -101,7 +81,7 @@ def test_other_channels_are_counted():
     ],
 )
 def test_estimates_are_judged_where_sensors_and_models_fit(nis, anees, words: str):
-    found = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees, FITTING)
+    found = verdict(scenario("oscillator"), Diagnosis(Cause.NONE), nis, anees, FITTING)
     assert words in found
 
 
@@ -109,7 +89,7 @@ def test_the_last_line_does_not_clear_what_the_first_accuses():
     """A run began with "overconfident (ANEES 1.66, 95 %: 1.1 to 2.6)", and ended "consistent"."""
     usual, strict = Interval(1.66, 1.1, 2.6), Interval(1.66, 0.9, 3.1)
     assert "overconfident" in consistency_in_words(usual)
-    said = innovation_verdict(scenario("oscillator"), Diagnosis(Cause.NONE), FITTING, strict, usual)
+    said = verdict(scenario("oscillator"), Diagnosis(Cause.NONE), FITTING, strict, usual)
     assert said == (
         "undecided: models and sensors fit the readings, but ANEES 1.66 is above 1 at 95 % and not "
         "at 99.5 %; use more --steps or --runs"
@@ -121,14 +101,9 @@ def test_a_run_in_which_a_value_is_named_is_not_called_consistent():
     """A verdict said "consistent", and named a delay whose interval excluded that of the file."""
     named = "of single values of car.toml, delay of side slip explains most: 0.0192 s"
     given = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, FITTING, FITTING
-    said = innovation_verdict(*given, named)
+    said = verdict(*given, Explanation(cause=named))
     assert said.startswith("undecided: models and sensors fit the readings (NIS 1")
     assert said.endswith(f"; yet {named}")
-
-
-TOO_SMALL = OFF._replace(nis=Interval(0.5, 0.4, 0.6), spread=0.5)
-UNDER = Interval(0.5, 0.4, 0.6)
-OVER = Interval(2.9, 2.3, 3.7)
 
 
 def test_a_reading_in_another_unit_is_no_fault_of_the_car():
@@ -136,67 +111,22 @@ def test_a_reading_in_another_unit_is_no_fault_of_the_car():
     wild = OFF._replace(nis=Interval(2000.0, 1900.0, 2100.0), spread=2000.0)
     of_readings = Diagnosis(Cause.NOISE_TOO_SMALL, YAW, wild)
     given = scenario("vehicle-network"), of_readings, FITTING, UNKNOWN, UNKNOWN
-    sentence = innovation_verdict(*given, named="of single values of car.toml, Q explains most")
-    assert "look at units, signs and stamps in columns.toml before car.toml" in sentence
+    sentence = verdict(*given, Explanation(cause="Q explains most", misread="look at its units"))
+    assert sentence.endswith("; look at its units")
     assert "explains most" not in sentence
 
 
 def test_errors_lead_where_innovations_are_small():
-    """A verdict said "underconfident" of a car whose side slip had an ANEES of 2.9."""
     of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
-    for found, slip, errors in (
-        (OVER, None, "ANEES is 2.9 where 1 is right"),
-        (
-            UNKNOWN,
-            SlipEvidence(OVER, False, (14.0, 3.2, 4.6)),
-            "the side slip errs by more than the filter that hears everything claims (ANEES 2.3 to "
-            "3.7 where 1 is right, by what yaw rate and lateral acceleration add up to, which errs "
-            "too; most from 3.2 to 4.6 s of the run: 14)",
-        ),
-    ):
-        sentence = innovation_verdict(
-            scenario("vehicle-network"), of_readings, FITTING, found, found, slip=slip
-        )
-        assert sentence.startswith(f"overconfident: {errors}")
-        assert "innovations alone would say underconfident: NIS of node 2's yaw rate" in sentence
-
-
-@pytest.mark.parametrize(
-    ("anees", "words"),
-    [
-        (FITTING, "errs as the filter that hears everything claims (ANEES 1 where 1 is right, by"),
-        (Interval(0.3, 0.2, 0.4), "errs by less than the filter that hears everything claims"),
-    ],
-)
-def test_a_side_slip_that_is_no_worse_than_claimed_stands_at_the_end(anees, words: str):
-    nothing, slip = Diagnosis(Cause.NONE), SlipEvidence(anees, True)
-    given = scenario("vehicle-network"), nothing, FITTING, FITTING, FITTING
-    sentence = innovation_verdict(*given, slip=slip)
-    assert sentence.startswith("consistent: ")
-    assert words in sentence and sentence.endswith("by the logged one)")
-
-
-def test_process_noise_that_covers_the_tyres_is_no_wrong_claim():
-    """After `identify` innovations are smaller than claimed, where the side slip is as claimed."""
-    of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
-    given = scenario("vehicle-network"), of_readings, FITTING, FITTING, FITTING
-    sentence = innovation_verdict(*given, slip=SlipEvidence(FITTING, True))
-    assert sentence.startswith("consistent: the side slip errs as the filter")
-    assert "innovations alone would say underconfident: " in sentence
-    untold = innovation_verdict(*given, slip=SlipEvidence(UNKNOWN, False))
-    assert untold.startswith("undecided: this drive does not tell how far the side slip errs; ")
-    less = innovation_verdict(*given, slip=SlipEvidence(Interval(0.3, 0.2, 0.4), True))
-    assert less.startswith("underconfident: ")
-    # A rule that claims too little is at fault beside a filter that claims what it knows.
-    by_rule = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, UNDER, UNDER
-    sentence = innovation_verdict(*by_rule, slip=SlipEvidence(FITTING, True))
-    assert sentence.startswith("underconfident: models and sensors fit the readings, but rule")
+    sentence = verdict(scenario("oscillator"), of_readings, FITTING, OVER, OVER)
+    assert sentence.startswith("overconfident: ANEES is 2.9 where 1 is right")
+    assert "innovations alone would say underconfident: NIS of node 2's yaw rate" in sentence
 
 
 def test_an_offset_beside_another_cause_is_named_too():
     noisy = Channel(0, 0, 0, "speed", "m/s")
     diagnosis = Diagnosis(Cause.NOISE_TOO_SMALL, noisy, OFF, 1, (YAW, OFF))
-    sentence = innovation_verdict(scenario("oscillator"), diagnosis, FITTING, FITTING, FITTING)
+    sentence = verdict(scenario("oscillator"), diagnosis, FITTING, FITTING, FITTING)
     assert "NIS of node 0's speed" in sentence
     assert sentence.endswith("besides, node 2's yaw rate reads 0.02 rad/s (95 %: 0.018 to 0.022) "
                              "off its prediction")  # fmt: skip
@@ -209,7 +139,7 @@ def test_small_innovations_of_one_channel_are_no_caution_beside_an_offset(shift:
     diagnosis = Diagnosis(Cause.NOISE_TOO_LARGE, noisy, TOO_SMALL, 1, (YAW, off))
     given = scenario("vehicle-network"), diagnosis, FITTING, UNKNOWN, UNKNOWN
     for named in ("", "of single values of car.toml, rear stiffness explains most"):
-        sentence = innovation_verdict(*given, named)
+        sentence = verdict(*given, Explanation(cause=named))
         assert sentence.startswith(f"{lead}: NIS of node 1's lateral acceleration is")
         assert named in sentence
         if lead == "biased":
@@ -218,7 +148,7 @@ def test_small_innovations_of_one_channel_are_no_caution_beside_an_offset(shift:
 
 def test_too_few_readings_are_no_verdict():
     nothing = Diagnosis(Cause.UNKNOWN)
-    few = innovation_verdict(scenario("oscillator"), nothing, UNKNOWN, UNKNOWN, UNKNOWN)
+    few = verdict(scenario("oscillator"), nothing, UNKNOWN, UNKNOWN, UNKNOWN)
     assert "too few readings to judge" in few
 
 

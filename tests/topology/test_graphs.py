@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.entries import entries
 from concord.topology import graphs
-from concord.topology.choices import GRAPHS
+from concord.topology.choices import graph_names
 from concord.topology.graphs import (
     build_graph,
     complete,
@@ -163,8 +164,8 @@ def test_random_families_have_the_number_of_links_of_their_definition():
 
 def test_every_graph_that_can_be_built_is_among_the_names():
     of_a_shape = {"K-regular", "geometric"}
-    files = {"edges:0-1;1-2", "file:PATH", "directed:PATH", "intel-lab", "intel-lab-directed"}
-    assert set(GRAPHS) == set(graphs._BUILDERS) | of_a_shape | files
+    files = {"edges:0-1;1-2", "file:PATH", "directed:PATH", *entries("GRAPHS")}
+    assert set(graph_names()) == set(graphs._BUILDERS) | of_a_shape | files
 
 
 def test_every_name_builds_its_graph(tmp_path):
@@ -181,7 +182,7 @@ def test_every_name_builds_its_graph(tmp_path):
     pairs = [(i, j) for i in range(1, 7) for j in range(1, 7) if abs(i - j) == 1]
     (tmp_path / "connectivity.txt").write_text("".join(f"{i} {j} 0.5\n" for i, j in pairs))
     file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n1 0\n2 1\n3 2\n4 3\n5 4\n0 5\n")
-    for name in GRAPHS:
+    for name in graph_names():
         assert_graph(build_graph(concrete.get(name, name), 6, seed=0), 6)
     assert same(build_graph(concrete["file:PATH"], 6, seed=0), ring(6))
     assert same(build_graph("grid", 6, seed=0), grid(2, 3))

@@ -1,21 +1,15 @@
-"""Networks with chances of delivery and places: in files, in parts, and the Intel lab's."""
-
-from pathlib import Path
+"""Networks with chances of delivery and places: in files and in parts."""
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from concord.features.recorded.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
 from concord.topology.adjacency import from_links, is_symmetric, links_of, neighbours_of, union
 from concord.topology.analysis import analyse, components, cut_links, cut_nodes
 from concord.topology.graph_files import read_network, write_network
 from concord.topology.graphs import build_graph, build_network, ring, star
 from concord.topology.network import Network, part_of
 from concord.topology.weights import equal_neighbour
-
-LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
-needs_lab = pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
 
 
 def random_network(nodes: int, seed: int) -> Network:
@@ -108,46 +102,6 @@ def test_weak_points_are_those_whose_loss_divides_the_graph(adjacency):
     figures = analyse(adjacency, equal_neighbour(adjacency))
     assert figures.directed != both_ways and figures.weak_components == 1
     assert figures.links == dense.sum() / (1 + both_ways)
-
-
-@needs_lab
-def test_the_lab_has_the_links_of_its_file():
-    lab, both = intel_lab(LAB, one_way=True), intel_lab(LAB)
-    assert lab.names == both.names and lab.names is not None
-    assert len(lab.names) == 53 and "5" not in lab.names and "0" not in lab.names
-    rows = [line.split() for line in (LAB / "connectivity.txt").read_text().splitlines()]
-    shares = {(r[0], r[1]): float(r[2]) for r in rows if len(r) == 3}
-    hearer, heard = links_of(lab.adjacency)
-    assert lab.delivery is not None
-    for i, j, share in zip(hearer, heard, lab.delivery, strict=True):
-        assert shares[lab.names[j], lab.names[i]] == share >= LEAST_DELIVERY
-    assert lab.adjacency.nnz == 969 and both.adjacency.nnz == 802
-    assert is_symmetric(both.adjacency) and not is_symmetric(lab.adjacency)
-    assert lab.positions is not None and lab.positions[0].tolist() == [21.5, 23]
-
-
-@needs_lab
-@pytest.mark.parametrize("one_way", [False, True])
-def test_any_number_of_motes_hangs_together(one_way):
-    for nodes in range(1, 54):
-        part = intel_lab(LAB, nodes, one_way=one_way)
-        assert part.adjacency.shape == (nodes, nodes)
-        assert len(components(part.adjacency)) == 1
-    with pytest.raises(ValueError, match="53 motes reach each other; ask for 1 to 53"):
-        intel_lab(LAB, 54, one_way=one_way)
-
-
-def test_a_folder_of_something_else_is_no_lab(tmp_path):
-    assert not is_intel_lab(tmp_path)
-    with pytest.raises(ValueError, match=r"mote_loc\.txt: no such file; name the folder"):
-        intel_lab(tmp_path)
-    (tmp_path / "mote_loc.txt").write_text("1 0 here\n")
-    with pytest.raises(ValueError, match=r"mote_loc\.txt:1: '1 0 here' is no mote"):
-        intel_lab(tmp_path)
-    (tmp_path / "mote_loc.txt").write_text("1 0 0\n2 1 1\n")
-    (tmp_path / "connectivity.txt").write_text("1 2 0.5\n2 1 7\n")
-    with pytest.raises(ValueError, match=r"connectivity\.txt:2: '2 1 7' is no link"):
-        intel_lab(tmp_path)
 
 
 def test_nodes_may_be_left_open_only_for_what_is_read(tmp_path):

@@ -54,7 +54,7 @@ def sets_over(
 
     Args:
         plant: with l outputs sent in turn and m - l that contend; a cycle has g = l + 1 steps.
-        received: as `concord.features.measurement_bus.measurement_runs.delivered` makes it.
+        received: as `concord.features.sets.delivered.delivered` makes it.
         centre, shape: (..., n) and (n, n), the ellipsoid that holds the state at step 0.
         method: "paper" and "fast" give a set of (x in the g steps, held values) for each cycle,
             "tight" of x in the g steps; "fast-rate" and "zonotope" of x for each step.

@@ -108,7 +108,7 @@ def test_weights_by_sensor_and_step_decide_who_sends():
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: on_a_measurement_bus(LINEAR, STRIPS), "a OwnPlant takes OwnSensor"),
+        (lambda: on_a_measurement_bus(LINEAR, STRIPS), "an OwnPlant takes OwnSensor"),
         (lambda: on_a_measurement_bus(BOUNDED, []), "give at least one BoundedOutput"),
         (lambda: on_a_measurement_bus("motor", []), "plant of type str: give an OwnPlant"),  # type: ignore[arg-type]
         (

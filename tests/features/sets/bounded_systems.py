@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
-from concord.features.measurement_bus.measurement_runs import bus_of_outputs, delivered
 from concord.features.sets.bounded import BoundedSystem
+from concord.features.sets.delivered import bus_of_outputs, delivered
 from concord.features.sets.filters.bus_readings import MeasuredPlant
 from concord.features.sets.filters.lifted_cycle import DeliveredValues, WeightsAtStep
 

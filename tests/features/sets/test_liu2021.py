@@ -8,9 +8,10 @@ import pytest
 
 from concord.features.measurement_bus.measured import bus_of, receiver_of
 from concord.features.measurement_bus.measurement_bus import losing_bids_of
-from concord.features.measurement_bus.measurement_runs import delivered, estimate, slots_of
+from concord.features.measurement_bus.measurement_runs import estimate, slots_of
 from concord.features.measurement_bus.stochastic_ukf import Received
 from concord.features.sets import liu2021_plant as liu2021
+from concord.features.sets.delivered import delivered
 from concord.features.sets.filters.ellipsoid import Ellipsoid, half_widths
 from concord.features.sets.filters.histories import sets_over
 from concord.features.sets.liu2021 import plant_on_bus

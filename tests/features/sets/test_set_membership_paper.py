@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.features.measurement_bus.measurement_runs import delivered
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded import BoundedSystem
+from concord.features.sets.delivered import delivered
 from concord.features.sets.filters.bus_readings import MeasuredPlant, augmented
 from concord.features.sets.filters.closed_form import closed_form_step
 from concord.features.sets.filters.criterion import plain_trace
