@@ -1,15 +1,20 @@
-"""Test the imports of a network's processes: each node process pays for them in memory and time."""
+"""Test what a process loads: each node and each command pays for it in memory and time."""
 
 import subprocess
 import sys
+import uuid
+from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import pytest
 
+from concord.runtime.processes import launcher
+from tests.conftest import ROOT
 from tests.dashboard.browser_page import recorded
+from tests.dashboard.runs import setup_of
 
-ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"scipy", "networkx", "xarray", "viser", "matplotlib", "h5py", "h5netcdf", "rich", "tyro"}
 LOADED = """
 import sys
@@ -44,13 +49,7 @@ def loaded(imports: str, work: str = "") -> set[str]:
 
 @pytest.mark.parametrize("name", ["oscillator", "target-tracking", "target-crossing"])
 def test_a_node_process_stays_light(name: str):
-    from msgspec import json
-
-    from concord.scenarios.catalogue import definition_named
-    from concord.scenarios.preparation import prepare
-
-    defaults = definition_named(name).defaults.with_(nodes=6, steps=2)
-    work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
+    work = NODE_WORK.format(setup=msgspec.json.encode(setup_of(name, nodes=6, steps=2)))
     heavy = (
         loaded(
             "import concord.runtime.processes.node.process\n"
@@ -86,3 +85,86 @@ def test_a_page_draws_its_charts_without_scipy_which_loads_slowly(tmp_path: Path
     setup, file = recorded(tmp_path, nodes=4, steps=6)
     work = PAGE_WORK.format(setup=msgspec.json.encode(setup), file=str(file))
     assert not loaded("", work) & {"scipy", "xarray", "matplotlib"}
+
+
+# Modules of ours in this process, and their lines; a file that two names load counts once.
+COUNT = """
+import atexit, sys
+def tell(stream):
+    ours = {name: module.__file__ for name, module in sys.modules.items()
+            if name.partition(".")[0] == "concord" and getattr(module, "__file__", None)}
+    lines = sum(open(file, "rb").read().count(10) for file in set(ours.values()))
+    stream.write(f"{lines} {' '.join(sorted(ours))}\\n")
+"""
+# The first process of a network, which forks the others; node 0 tells at its end.
+LAUNCHER_PROCESS = """
+from concord.runtime.processes import launcher_process
+be_node = launcher_process.be_node
+def told(job, links, config, late=False):
+    try:
+        be_node(job, links, config, late)
+    finally:
+        if config.index == 0:
+            with open({file!r}, "w") as file:
+                tell(file)
+launcher_process.be_node = told
+launcher_process.main()
+"""
+COMMAND = """
+from concord.experiments.__main__ import main
+atexit.register(tell, sys.stderr)
+main({arguments!r})
+"""
+SIMULATION = """
+import concord as cc
+cc.simulate(cc.scenario("oscillator", nodes=4, steps=2))
+tell(sys.stderr)
+"""
+ROOMS_OF_A_RUN = ("concord.filters", "concord.nodes", "concord.runtime")
+
+
+class Ours(NamedTuple):
+    """What a process has loaded of ours."""
+
+    lines: int
+    modules: list[str]
+
+    def __str__(self) -> str:
+        by_room = Counter(".".join(name.split(".")[1:2]) for name in self.modules)
+        return f"{self.lines} lines in {len(self.modules)} modules: {by_room.most_common()}"
+
+
+def ours(text: str) -> Ours:
+    """Read what a process told in its last line."""
+    lines, *modules = text.splitlines()[-1].split()
+    return Ours(int(lines), modules)
+
+
+def counted(work: str) -> Ours:
+    """Count what a fresh interpreter has loaded after this work."""
+    command = [sys.executable, "-c", COUNT + work]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return ours(done.stderr)
+
+
+@pytest.mark.zenoh
+def test_a_node_process_loads_what_it_uses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    setup = setup_of("target-tracking", rule="ci", nodes=4, steps=2)
+    file = tmp_path / "loaded"
+    program = COUNT + LAUNCHER_PROCESS.format(file=str(file))
+    monkeypatch.setattr(launcher, "fresh_command", lambda _: [sys.executable, "-c", program])
+    launcher.run_processes(setup, uuid.uuid4().hex, tmp_path / "run.mcap", None, lambda _: None)
+    node = ours(file.read_text())
+    assert len(node.modules) <= 180 and node.lines <= 22_000, str(node)
+
+
+def test_the_smallest_simulation_loads_what_it_uses():
+    simulation = counted(SIMULATION)
+    assert simulation.lines <= 25_000, str(simulation)
+
+
+@pytest.mark.parametrize("command", ["--help", "list"])
+def test_a_command_that_shows_names_loads_no_run(command: str):
+    loads = counted(COMMAND.format(arguments=[command]))
+    found = [name for name in loads.modules if name.startswith(ROOMS_OF_A_RUN)]
+    assert not found, f"concord {command} loads {', '.join(found)}"

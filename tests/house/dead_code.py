@@ -5,12 +5,11 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from tests.house.sources import ROOT, Source, imported_modules
+from tests.house.sources import ROOT, Source, imported_modules, named_modules
 
 # Entry points: files that a user, the Makefile or another process starts by name.
 _STARTED = re.compile(
-    r"(.*/__main__|launch_local|concord/.*|experiments/cli/.*|papers/(\w+/)?reproduce|benchmarks/.*"
-    r"|docs/.*|examples/.*)\.py"
+    r"(.*/__main__|launch_local|concord/.*|papers/\w+/reproduce|benchmarks/.*|docs/.*|examples/.*)\.py"
 )
 # A class with another base may have methods that the library of this base calls.
 _PLAIN_BASES = {"NamedTuple", "Protocol", "Generic", "Struct", "msgspec.Struct", "ValueError"}
@@ -31,16 +30,10 @@ def modules_are_reached(sources: Sequence[Source]) -> Iterator[str]:
     waiting = [
         file.module
         for file in sources
-        if _STARTED.fullmatch(str(file.path)) or file.module in names_on_pages
+        if _STARTED.fullmatch(str(file.path)) or file.is_entries or file.module in names_on_pages
     ]
-    # A process is started by the name of its module, which stands in a string.
-    named = {
-        node.value
-        for file in sources
-        for node in ast.walk(file.tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
-    waiting += [module for module in by_name if module in named]
+    # Entries and processes are started by the names of their modules, which stand in strings.
+    waiting += [module for file in sources for module, _ in named_modules(file)]
     while waiting:
         module = waiting.pop()
         if module in by_name and module not in reached:
@@ -76,6 +69,9 @@ def functions_are_called(sources: Sequence[Source]) -> Iterator[str]:
     for file in sources:
         for name, node in _uses(file.tree):
             uses[name].add(id(node))
+        if file.is_entries:
+            for _, target in file.strings:
+                uses[target.rpartition(":")[2]].add(id(file))
         definitions += [(file, node) for node in _public(file.tree)]
     for file, node in definitions:
         inside = {id(child) for child in ast.walk(node)}

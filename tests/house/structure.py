@@ -1,14 +1,18 @@
-"""Rules of structure: no import circles, no crowded folders, no large classes."""
+"""Rules of structure: no import circles, no crowded folders, no large classes, no crumbs."""
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import networkx
 
-from tests.house.sources import Source, imported_modules
+from tests.house.sources import Source, imported_modules, named_modules
 
-MOST_FILES, MOST_CLASS_LINES = 25, 200
+MOST_FILES, MOST_CLASS_LINES, LEAST_LINES = 25, 200, 40
+# Python, or the collector of entries, asks for files of these names.
+_GIVEN_NAMES = ("__init__.py", "__main__.py", "entries.py")
+_REASON = re.compile(r"^Reason for a file of its own: \S", re.MULTILINE)
 
 
 def no_import_circles(sources: Sequence[Source]) -> Iterator[str]:
@@ -49,3 +53,30 @@ def classes_are_small(sources: Sequence[Source]) -> Iterator[str]:
                         f"{file.path}:{node.lineno}: class {node.name} has {lines} lines, at most "
                         f"{MOST_CLASS_LINES}; split it by idea"
                     )
+
+
+def small_files_have_a_reason(sources: Sequence[Source]) -> Iterator[str]:
+    """Refuse small files that fewer than two others import, unless their docstring says why."""
+    modules = {file.module for file in sources}
+    importers = Counter(
+        module
+        for file in sources
+        for module in {*imported_modules(file, modules), *(name for name, _ in named_modules(file))}
+        if module != file.module
+    )
+    for file in small_files(sources):
+        if importers[file.module] < 2 and not _REASON.search(ast.get_docstring(file.tree) or ""):
+            yield (
+                f"{file.path}:1: {file.text.count(chr(10))} lines and {importers[file.module]} "
+                "importers; join it with the file that needs it, or add a line to its docstring: "
+                "Reason for a file of its own: ..."
+            )
+
+
+def small_files(sources: Sequence[Source]) -> list[Source]:
+    """Return the files under 40 lines, but those that Python or the entries ask for by name."""
+    return [
+        file
+        for file in sources
+        if file.text.count("\n") < LEAST_LINES and file.path.name not in _GIVEN_NAMES
+    ]

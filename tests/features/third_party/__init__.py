@@ -1,0 +1,1 @@
+"""A package of entries outside the repository."""

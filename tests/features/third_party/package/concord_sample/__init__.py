@@ -1,0 +1,1 @@
+"""A rule, a scenario and a command for concord."""
