@@ -22,7 +22,7 @@ from concord.papers.adlukf.study import (
     ScoresByFilter,
     each_seed,
 )
-from concord.papers.kit.judging import Claim, Figures, errata_from, needs
+from concord.papers.kit.judging import Claim, NamedFigures, errata_from, needs
 from concord.results.figures.intervals import Interval, mean_t, ratio_t
 
 RIVALS = ("CKF", "FAUKF")
@@ -55,7 +55,7 @@ def gather(
     signal_sd: Mapping[str, np.ndarray],
     of_filters: Mapping[str, FilterCost],
     failed_lanes: Mapping[str, int],
-) -> Figures:
+) -> NamedFigures:
     """The figures that the claims need; tuples are over manoeuvres, then over states."""
     manoeuvres = range(len(MANOEUVRES))
     ours, reference = of_filters["ADLUKF"], of_filters["CKF"]
@@ -114,7 +114,7 @@ def _ratios(pairs: Iterable[list[np.ndarray]]) -> tuple[Interval, ...]:
     )
 
 
-def claims(evidence: Figures) -> list[Claim]:
+def claims(evidence: NamedFigures) -> list[Claim]:
     """In the order of the paper."""
     e = SimpleNamespace(**evidence)
     return [*_errors(e), *_sensitivity(e), *_rest(e)]

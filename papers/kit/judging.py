@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 
 from concord.results.figures.intervals import Interval
 
-Figures = dict[str, Any]
+NamedFigures = dict[str, Any]
 """Measured figures by name: what a paper's checks and claims are made from."""
 Verdict = Literal["holds", "does not hold", "not comparable", "contradicts itself"]
 Test = Literal["every finding", "any open choice", "print against print"]
@@ -84,7 +84,7 @@ def refused(name: str, attempt: Callable[[], object], because: str) -> Check:
     return Check(name, f"refused: {because}", "accepted", False)
 
 
-def checks_from(rows: Iterable[tuple[Any, ...]], figures: Figures) -> list[Check]:
+def checks_from(rows: Iterable[tuple[Any, ...]], figures: NamedFigures) -> list[Check]:
     """Checks declared as data: rows of (form, name, figure, further arguments of the form).
 
     A form makes one check or several. `figure` is a dotted name in the figures, or a function of

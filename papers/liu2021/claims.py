@@ -6,7 +6,7 @@ import numpy as np
 
 from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.filters.ellipsoid import Ellipsoid
-from concord.papers.kit.judging import Claim, Erratum, Figures, errata_from, needs
+from concord.papers.kit.judging import Claim, Erratum, NamedFigures, errata_from, needs
 from concord.papers.liu2021.comparisons import Mutant
 from concord.papers.liu2021.runs import BoundedEstimates, SequenceBatch
 from concord.papers.liu2021.tables import PUBLISHED, WINNER_OF_TABLES, difference
@@ -23,7 +23,7 @@ def gather(
     gains: np.ndarray,
     flipped: Mutant,
     wrong_rule: Mutant,
-) -> Figures:
+) -> NamedFigures:
     """The figures that the claims need."""
     kept = paper.sets[0]
     assert isinstance(kept, Ellipsoid), "the paper's sets are ellipsoids"
@@ -52,7 +52,7 @@ def gather(
     }
 
 
-def claims(evidence: Figures) -> list[Claim]:
+def claims(evidence: NamedFigures) -> list[Claim]:
     """In the order of the paper."""
     e = SimpleNamespace(**evidence)
     winners, wrong = ", ".join(map(str, e.winners)), e.wrong_rule

@@ -8,7 +8,7 @@ from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.meng2025 import SYSTEM, paper_points
 from concord.features.measurement_bus.stochastic_ukf import expected_cov
 from concord.filters.gaussian import Gaussian
-from concord.papers.kit.judging import Claim, Erratum, Figures, errata_from, needs
+from concord.papers.kit.judging import Claim, Erratum, NamedFigures, errata_from, needs
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, ranks_of_printed_cov
 from concord.papers.meng2025.table import EstimatorRow, difference, mse_by_step, trace_by_step
 from concord.results.figures.intervals import Interval
@@ -19,7 +19,7 @@ _ROUNDING = 1e-6
 
 def gather(
     batch: MeasuredBatch, outcomes: dict[str, SlotEstimates], rows: dict[str, EstimatorRow]
-) -> Figures:
+) -> NamedFigures:
     """The figures that the claims need."""
     ranks = ranks_of_printed_cov(batch)
     printed = outcomes["paper-literal"]
@@ -52,7 +52,7 @@ def gather(
     }
 
 
-def claims(evidence: Figures) -> list[Claim]:
+def claims(evidence: NamedFigures) -> list[Claim]:
     """The claims with their verdicts."""
     e = SimpleNamespace(**evidence)
     rows, above = e.rows, e.above_reported

@@ -9,7 +9,7 @@ from concord.features.control.continuous import ContinuousPlant
 from concord.features.control.design import controllability_rank, observability_rank
 from concord.features.control.networks import PAPER_PRIOR_VARIANCE
 from concord.features.control.transfer_functions import root_locus, series
-from concord.papers.kit.judging import Claim, ClaimFinding, Figures, errata_from, needs
+from concord.papers.kit.judging import Claim, ClaimFinding, NamedFigures, errata_from, needs
 from concord.papers.wac.exact import Exact
 from concord.papers.wac.figures import WITHOUT_DESIGN
 from concord.papers.wac.loops import figure_7
@@ -31,11 +31,11 @@ LQR_WEIGHT = 50.0  # its p
 
 
 def gather(
-    loops: Figures,
+    loops: NamedFigures,
     exact: Exact,
     unstable: list[UnstableOutcome],
     trials: dict[str, dict[str, Trial]],
-) -> Figures:
+) -> NamedFigures:
     """The figures that the claims need: from other parts of the reproduction, and from formulas."""
     rmse_to_central = np.concatenate([last[..., 0].ravel() for last, _ in exact.values()])
     # The limit of (30) on a path, whose row-stochastic weights are not doubly stochastic.
@@ -67,7 +67,7 @@ def gather(
     }
 
 
-def _plants() -> Figures:
+def _plants() -> NamedFigures:
     plants = (cruise, suspension, pitch)
     every = [*(one.dynamics() for one in plants), motor.speed_dynamics(), motor.position_dynamics()]
     travel = suspension.dynamics().state_matrix[2]
@@ -113,7 +113,7 @@ def _speed_gain(electrical_pole: float) -> float:
     return float((plant.output_row @ np.linalg.solve(-matrix, plant.control_matrix))[0, 0])
 
 
-def _controllers() -> Figures:
+def _controllers() -> NamedFigures:
     loop = series(cruise.LAG, cruise.transfer_function())
     ours = np.polyadd(loop.denominator, loop.numerator)
     # (26): m s^2 + (b + m p0 + Kp) s + (b p0 + Kp z0).
@@ -134,7 +134,7 @@ def _controllers() -> Figures:
     }
 
 
-def _filter() -> Figures:
+def _filter() -> NamedFigures:
     gains, cov = {}, np.eye(2)
     plants = {
         "pitch": pitch.dynamics(),
@@ -172,7 +172,7 @@ def _steady_gain(
 # --- the claims -----------------------------------------------------------------------------------
 
 
-def judge(evidence: Figures) -> list[Claim]:
+def judge(evidence: NamedFigures) -> list[Claim]:
     """All claims that can be measured, in the order of the paper."""
     e = SimpleNamespace(**evidence)
     parts = (_of_plants, _of_feedback, _of_classical, _of_filters, _of_consensus)

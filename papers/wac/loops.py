@@ -36,7 +36,7 @@ from concord.features.control.transfer_functions import (
 )
 from concord.papers.kit.judging import (
     Check,
-    Figures,
+    NamedFigures,
     above,
     at_most,
     below,
@@ -47,7 +47,7 @@ from concord.papers.kit.judging import (
 from concord.plants.linear import LinearPlant
 
 
-def measure() -> Figures:
+def measure() -> NamedFigures:
     """Run every loop. Times in s, angles in rad; the suffixes `_kn`, `_mn`, `_mm`, `_v`, `_kv` of
     other figures are their units."""
     return {**_cruise(), **_bus(), **_pitch(), **_speed(), **_position()}
@@ -72,7 +72,7 @@ def _continuous_step(controller: Rational, plant: Rational) -> StepFigures:
     return step_figures(output, times[1], output[-1])
 
 
-def _cruise() -> Figures:
+def _cruise() -> NamedFigures:
     plant, car = cruise.dynamics(), cruise.cruise()
     gain = pole_placement(plant.state_matrix, plant.control_matrix, cruise.POLES)
     free, limited = (
@@ -100,7 +100,7 @@ def _cruise() -> Figures:
     }
 
 
-def _bus() -> Figures:
+def _bus() -> NamedFigures:
     plant = suspension.dynamics()
     step_s = suspension.TIME_STEP_S
     stepped = suspension.suspension(road=suspension.ROAD_STEP)
@@ -129,7 +129,7 @@ def _bus() -> Figures:
     }
 
 
-def _pitch() -> Figures:
+def _pitch() -> NamedFigures:
     plant, aircraft = pitch.dynamics(), pitch.pitch()
     designed = pitch.pitch_controller()
 
@@ -158,7 +158,7 @@ def _pitch() -> Figures:
     }
 
 
-def _speed() -> Figures:
+def _speed() -> NamedFigures:
     plant, rotor = motor.speed_dynamics(), motor.motor_speed()
     step_s = motor.TIME_STEP_S
     gain = pole_placement(plant.state_matrix, plant.control_matrix, motor.SPEED_POLES)
@@ -179,7 +179,7 @@ def _speed() -> Figures:
     }
 
 
-def _position() -> Figures:
+def _position() -> NamedFigures:
     plant, rotor = motor.position_dynamics(), motor.motor_position()
     # For the printed poles -100 +- 100i and -200, designed in continuous time.
     gain = pole_placement(plant.state_matrix, plant.control_matrix, motor.PAPER_POSITION_POLES)
@@ -304,7 +304,7 @@ CHECKS = (
 )  # fmt: skip
 
 
-def checks_of(loops: Figures) -> list[Check]:
+def checks_of(loops: NamedFigures) -> list[Check]:
     """Hold the figures of `measure` against the specification's."""
     return checks_from(CHECKS, loops)
 

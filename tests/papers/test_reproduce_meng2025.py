@@ -11,7 +11,7 @@ import xarray
 
 from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.meng2025 import SYSTEM
-from concord.papers.kit.judging import Figures
+from concord.papers.kit.judging import NamedFigures
 from concord.papers.kit.report import check_runs
 from concord.papers.meng2025.claims import claims, gather, order_of_slots
 from concord.papers.meng2025.particles import log_likelihood, track
@@ -213,11 +213,11 @@ def test_runs_that_diverge_are_counted_and_left_out():
 @pytest.fixture(scope="module")
 def evidence(
     batch: MeasuredBatch, outcomes: dict[str, SlotEstimates], rows: dict[str, EstimatorRow]
-) -> Figures:
+) -> NamedFigures:
     return gather(batch, outcomes, rows)
 
 
-def test_claims_get_the_verdicts_that_the_figures_say(evidence: Figures):
+def test_claims_get_the_verdicts_that_the_figures_say(evidence: NamedFigures):
     found = {claim.says: claim.verdict for claim in claims(evidence)}
     assert found == {
         "the gain is P_xy P_yy^-1": "contradicts itself",
@@ -229,7 +229,7 @@ def test_claims_get_the_verdicts_that_the_figures_say(evidence: Figures):
     }
 
 
-def test_every_claim_can_fail(evidence: Figures):
+def test_every_claim_can_fail(evidence: NamedFigures):
     every_claim_can_fail(claims, evidence)
 
 

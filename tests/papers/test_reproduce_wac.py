@@ -15,7 +15,7 @@ from concord.filters.fusion.packed import pack
 from concord.filters.gaussian import Gaussian, to_information
 from concord.nodes.lanes.batch import InBatch
 from concord.nodes.rules.lane_rule import Place
-from concord.papers.kit.judging import Figures
+from concord.papers.kit.judging import NamedFigures
 from concord.papers.wac import bus as occupancy
 from concord.papers.wac import exact as reproduce_wac_exact
 from concord.papers.wac import figures as reproduce_wac_figures
@@ -131,7 +131,7 @@ def test_a_small_study_has_the_order_of_the_large_one():
 
 
 @pytest.fixture(scope="module")
-def loops() -> Figures:
+def loops() -> NamedFigures:
     return reproduce_wac_loops.measure()
 
 
@@ -166,16 +166,16 @@ def exact_of(rmse: float, largest: float) -> reproduce_wac_exact.Exact:
 
 
 @pytest.fixture(scope="module")
-def evidence(loops: Figures) -> Figures:
+def evidence(loops: NamedFigures) -> NamedFigures:
     unstable = reproduce_wac_unstable.measure()
     return gather(loops, exact_of(1.3, 0.9), unstable, trials_of())
 
 
-def verdicts(evidence: Figures) -> dict[str, str]:
+def verdicts(evidence: NamedFigures) -> dict[str, str]:
     return {claim.says: claim.verdict for claim in judge(evidence)}
 
 
-def test_closed_loops_have_the_printed_figures(loops: Figures):
+def test_closed_loops_have_the_printed_figures(loops: NamedFigures):
     failed = [check for check in loop_checks_of(loops) if not check.ok]
     assert not failed
 
@@ -191,12 +191,12 @@ def test_closed_loops_have_the_printed_figures(loops: Figures):
         ("speed_start_v", np.nan, "speed: first voltage"),
     ],
 )
-def test_another_loop_fails_its_check(loops: Figures, field: str, value, name: str):
+def test_another_loop_fails_its_check(loops: NamedFigures, field: str, value, name: str):
     checks = loop_checks_of(loops | {field: value})
     assert name in [check.name for check in checks if not check.ok]
 
 
-def test_what_the_paper_gets_right_and_wrong(evidence: Figures):
+def test_what_the_paper_gets_right_and_wrong(evidence: NamedFigures):
     found = [(claim.verdict, claim.erratum) for claim in judge(evidence)]
     assert {number for verdict, number in found if verdict == "does not hold"} == {
         None, 2, 8, 9, 18, 19, 20, 22,
@@ -207,7 +207,7 @@ def test_what_the_paper_gets_right_and_wrong(evidence: Figures):
     assert counts.count("not comparable") == 2
 
 
-def test_every_claim_can_fail(evidence: Figures):
+def test_every_claim_can_fail(evidence: NamedFigures):
     every_claim_can_fail(judge, evidence)
 
 
@@ -237,7 +237,7 @@ HIDDEN = {"pitch": (0.2, 0.1, 0.9), "position": (0.9, 0.1, 0.1)}
     ],
 )
 def test_another_number_gives_another_verdict(
-    evidence: Figures, field: str, value, claim: str, verdict: str
+    evidence: NamedFigures, field: str, value, claim: str, verdict: str
 ):
     changed = evidence | {field: value}
     before, after = verdicts(evidence), verdicts(changed)
@@ -247,13 +247,13 @@ def test_another_number_gives_another_verdict(
     assert before == after
 
 
-def test_a_blind_node_worse_than_a_measurement_is_told(loops: Figures):
+def test_a_blind_node_worse_than_a_measurement_is_told(loops: NamedFigures):
     unstable = reproduce_wac_unstable.measure()[:1]
     bad = gather(loops, exact_of(1.3, 0.9), unstable, trials_of(speed=50.0))
     assert verdicts(bad)["the estimate tracks the true output"] == "does not hold"
 
 
-def test_every_erratum_has_its_number_and_every_claim_a_known_one(evidence: Figures):
+def test_every_erratum_has_its_number_and_every_claim_a_known_one(evidence: NamedFigures):
     assert [erratum.number for erratum in ERRATA] == list(range(1, 24))
     assert {claim.erratum for claim in judge(evidence)} <= {None, *range(1, 24)}
 
