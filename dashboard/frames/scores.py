@@ -58,10 +58,10 @@ def score(
 
 
 def with_errors(scores: StepScores, errors: np.ndarray) -> StepScores:
-    """The scores of a step whose error of the network is of these errors of its nodes (K,).
+    """The scores of a step with these errors of the nodes (K,) as the error of the network.
 
-    The errors of nodes stay those of their beliefs, and so would those of the centralised filter of
-    the page and of the fused belief.
+    The errors of each node stay those of its belief. The centralised filter of the page and the
+    fused belief have no such error.
     """
     rmse = _root_mean_square(errors)
     return scores._replace(rmse=rmse, central=float("nan"), fused=float("nan"))

@@ -15,9 +15,8 @@ _LOWER, _UPPER = "−3σ", "+3σ"
 def run_charts(stage: Stage) -> tuple[Chart, ...]:
     """Return the charts of the network: error, disagreement, consistency, traffic."""
     own = stage.own
-    errors, unit = ((_error_chart(stage),), stage.score.unit) if own is None else (
-        own.charts(), own.belief_unit
-    )  # fmt: skip
+    errors = (_error_chart(stage),) if own is None else own.charts()
+    unit = stage.score.unit if own is None else own.belief_unit
     return (
         *errors,
         Chart(

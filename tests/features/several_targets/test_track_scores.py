@@ -114,7 +114,7 @@ def test_a_sweep_scores_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_the_page_reads_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    page = (Path(__file__).parents[2] / "docs" / "targets.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "targets.md").read_text()
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
         if not command.startswith("concord agree"):
@@ -127,7 +127,7 @@ def test_the_page_reads_the_file(
 
 @pytest.mark.zenoh
 def test_the_drivers_agree_as_the_page_says(capsys: pytest.CaptureFixture[str]):
-    page = (Path(__file__).parents[2] / "docs" / "targets.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "targets.md").read_text()
     found = [one for one in commands(page) if one.startswith("concord agree")]
     assert {"track-ci" in command for command in found} == {False, True}
     for command in found:
