@@ -124,7 +124,7 @@ ROOMS_OF_A_RUN = ("concord.filters", "concord.nodes", "concord.runtime")
 
 
 class Ours(NamedTuple):
-    """What a process has loaded of ours."""
+    """Modules of ours that a process has loaded, and their lines."""
 
     lines: int
     modules: list[str]

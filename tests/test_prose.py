@@ -27,6 +27,8 @@ PLANTED = [
     ("runtime/a.py", "def all_eras(): pass", "name it 'segment'"),
     ("runtime/peer_patience.py", "x = 1", "name it 'peer timeout'"),
     ("nodes/a.py", "def f(said): pass", "name it 'republisher'"),
+    ("features/sets/a.py", "def carry(): pass", "name it 'predict'"),
+    ("results/a.py", "class Kind: pass", "name it 'scenario definition'"),
 ]
 ALLOWED = [
     ("nodes/a.py", '"""Return the frame that a node sends. Units: metres."""'),
@@ -40,6 +42,7 @@ ALLOWED = [
     ("tests/a.py", "conductor = 1"),
     ("dashboard/a.py", "page = part = 1"),
     ("nodes/a.py", "said_again = 1"),
+    ("features/hosts/a.py", "listen = said = 1"),
     ("topology/a.py", '"""Return a small-world graph."""\nsmall_world = 1'),
 ]
 

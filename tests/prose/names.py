@@ -25,6 +25,9 @@ class Retired(NamedTuple):
 
 
 _NETWORK = ("nodes/", "scenarios/", "runtime/")
+# Features came from these folders and from others, where some words kept their English meaning.
+_FEATURES = (*_NETWORK, "features/")
+_STUDIES = ("experiments/", "results/", "studies/")
 
 
 def _identifier(word: str, becomes: str, *folders: str) -> Retired:
@@ -39,14 +42,14 @@ RETIRED = (
     Retired("zygote", "launcher process"),
     Retired("conductor", "run controller"),
     Retired("office", "environment process"),
-    _identifier("member", "node process", *_NETWORK),
-    _identifier("player", "real-time node process", *_NETWORK),
+    _identifier("member", "node process", *_FEATURES),
+    _identifier("player", "real-time node process", *_FEATURES),
     _identifier("said", "republisher", *_NETWORK),
-    _identifier("repeats", "retransmission", *_NETWORK),
+    _identifier("repeats", "retransmission", *_FEATURES),
     Retired("patience", "peer timeout"),
     Retired("absence", "departed peers"),
     _identifier("listen", "baseline filter", "nodes/", "scenarios/", "runtime/batched/"),
-    _identifier("carry", "predict", "filters/", *_NETWORK),
+    _identifier("carry", "predict", "filters/", *_FEATURES),
     _identifier("take", "update", "filters/", "nodes/rules/", "nodes/lanes/"),
     Retired("sharpness", "inverse volume"),
     _prose("part of a cycle", "group"),
@@ -64,16 +67,16 @@ RETIRED = (
     Retired("era", "segment"),
     Retired("regime", "settings"),
     _identifier("turning", "change", *_NETWORK),
-    _identifier("turnings", "changes", *_NETWORK),
+    _identifier("turnings", "changes", *_FEATURES),
     Retired("hearing", "inbox"),
     Retired("offering", "throttled feed"),
     Retired("watchers", "subscribers"),
     _identifier("around", "estimator wrapper", *_NETWORK),
     Retired("weigh up", "to information"),
     Retired("conclude", "from information"),
-    _identifier("certain", "set-valued", "filters/", "experiments/", *_NETWORK),
+    _identifier("certain", "set-valued", "filters/", *_STUDIES, *_FEATURES),
     Retired("troubles", "failures"),
-    _identifier("Kind", "scenario definition", "scenarios/", "experiments/", "runtime/"),
+    _identifier("Kind", "scenario definition", *_STUDIES, *_FEATURES),
 )
 
 
