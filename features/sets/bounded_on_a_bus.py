@@ -1,16 +1,12 @@
 """A bounded plant whose scalar outputs are the sensors 1..m of a measurement bus."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from concord.features.measurement_bus.measured import PlantOnBus, plant_of_system
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.features.sets.bounded import BoundedSystem
-from concord.features.sets.bounded_network import on_the_bound
-from concord.features.sets.bounded_plant import BoundedOutput, BoundedPlant, system_of
 from concord.plants.draws import Draws, GeneratorFor
 
 
@@ -62,28 +58,6 @@ class BoundedOnBus:
         outputs = self.system.observe(state, noise, step)
         nobody = np.full((*outputs.shape[:-1], 1), np.nan)
         return np.concatenate([nobody, outputs], axis=-1)[..., None, None]
-
-
-def own_on_a_bus(plant: BoundedPlant, sensors: Sequence[BoundedOutput]) -> PlantOnBus:
-    """A plant of the user's own with its sensors.
-
-    Raises:
-        ValueError: sensors of another kind, or that do not fit the plant.
-    """
-    if any(not isinstance(sensor, BoundedOutput) for sensor in sensors):
-        raise ValueError("sensors: a BoundedPlant takes BoundedOutput and no others")
-    bounded = system_of(plant, sensors)
-    truth = BoundedOnBus(
-        bounded,
-        plant.prior_mean,
-        plant.prior_shape,
-        partial(on_the_bound, size=len(plant.noise_shape)),
-        inside,
-        plant.state_names or tuple(f"x{i}" for i in range(plant.states)),
-        plant.state_units or ("",) * plant.states,
-        plant.time_step_s,
-    )
-    return plant_of_system(truth, as_gaussian(bounded, plant.states))._replace(bounded=bounded)
 
 
 def inside(direction: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,9 +87,24 @@ class BoundedPlant:
             ValueError: sensors of another kind, or that do not fit the plant.
         """
         # Only here: a plant is described without a bus.
-        from concord.features.sets.bounded_on_a_bus import own_on_a_bus
+        from concord.features.measurement_bus.measured import plant_of_system
+        from concord.features.sets.bounded_network import on_the_bound
+        from concord.features.sets.bounded_on_a_bus import BoundedOnBus, as_gaussian, inside
 
-        return own_on_a_bus(self, sensors)
+        if any(not isinstance(sensor, BoundedOutput) for sensor in sensors):
+            raise ValueError("sensors: a BoundedPlant takes BoundedOutput and no others")
+        bounded = system_of(self, sensors)
+        truth = BoundedOnBus(
+            bounded,
+            self.prior_mean,
+            self.prior_shape,
+            partial(on_the_bound, size=len(self.noise_shape)),
+            inside,
+            self.state_names or tuple(f"x{i}" for i in range(self.states)),
+            self.state_units or ("",) * self.states,
+            self.time_step_s,
+        )
+        return plant_of_system(truth, as_gaussian(bounded, self.states))._replace(bounded=bounded)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -30,7 +30,7 @@ def told(slip: SlipEvidence) -> Explanation:
 def cure_of(cause: Cause, **options) -> str:
     """The verdict on two runs of a car; no log is read for the cure."""
     car = scenario("vehicle-network", **options)
-    setup = Setup(car, [], [], [], [], [], 0.005)
+    setup = Setup(car, [[]] * 4, [[1.0]] * 4, [], [], [], 0.005)
     beliefs = Gaussian(np.zeros((2, 3, 6)), np.zeros((2, 3, 6, 6)))
     explained = DEFINITION.explain(setup, beliefs, np.ones((2, 3), bool))
     return verdict(car, Diagnosis(cause, YAW, OFF), FITTING, FITTING, FITTING, explained)
