@@ -30,6 +30,7 @@ from concord.features.flexray_tools.files.xml_document import (
     microseconds,
     number,
     parse_document,
+    section,
 )
 
 AR = "{http://autosar.org/schema/r4.0}"
@@ -37,6 +38,8 @@ _HEAD = """<AUTOSAR xmlns="http://autosar.org/schema/r4.0"
  xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"
  xsi:schemaLocation="http://autosar.org/schema/r4.0 AUTOSAR_00044.xsd"><AR-PACKAGES/></AUTOSAR>"""
 _SLOTS = "concord_slots"
+_CONTROLLER = "FLEXRAY-COMMUNICATION-CONTROLLER"
+_TURN = "COMMUNICATION-CYCLE/CYCLE-REPETITION"
 _NAMES = tuple(
     AR + tag
     for tag in (
@@ -65,24 +68,20 @@ def cluster_to_arxml(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str
     controllers = _add_controllers(elements, cluster)
     element = _named(elements, "FLEXRAY-CLUSTER", named)
     if named != cluster.name:
-        add(add(element, f"{AR}LONG-NAME"), f"{AR}L-4", cluster.name, L="FOR-ALL")
-    variants = add(element, f"{AR}FLEXRAY-CLUSTER-VARIANTS")
-    values = add(variants, f"{AR}FLEXRAY-CLUSTER-CONDITIONAL")
-    add(values, f"{AR}BAUDRATE", round(cluster.bit_rate_mbps * 1e6))
-    channels = add(values, f"{AR}PHYSICAL-CHANNELS")
+        _put(element, "LONG-NAME/L-4", cluster.name, L="FOR-ALL")
+    values = _put(element, "FLEXRAY-CLUSTER-VARIANTS/FLEXRAY-CLUSTER-CONDITIONAL")
+    _put(values, "BAUDRATE", round(cluster.bit_rate_mbps * 1e6))
+    channels = _put(values, "PHYSICAL-CHANNELS")
     for letter in cluster.channels:
         channel = _named(channels, "FLEXRAY-PHYSICAL-CHANNEL", f"channel_{letter}")
-        connectors = add(channel, f"{AR}COMM-CONNECTORS")
         for name in controllers:
+            connectors = section(channel, f"{AR}COMM-CONNECTORS")
             _refer_to_connector(connectors, f"/concord/node/connector_{name}_{letter}")
-        add(channel, f"{AR}CHANNEL-NAME", f"CHANNEL-{letter}")
-    stated: dict[str, object] = {
-        "BIT": in_seconds(cluster.bit_us),
-        "CYCLE-COUNT-MAX": cluster.number_of_cycles - 1,
-        **dict(_FORMAT.stated(cluster, "cluster", "clocks")),
-    }
+        _put(channel, "CHANNEL-NAME", f"CHANNEL-{letter}")
+    stated: dict[str, object] = dict(_FORMAT.stated(cluster, "cluster", "clocks"))
+    stated |= {"BIT": in_seconds(cluster.bit_us), "CYCLE-COUNT-MAX": cluster.number_of_cycles - 1}
     for tag, value in sorted(stated.items()):
-        add(values, AR + tag, value)
+        _put(values, tag, value)
     _put_slots(document, element, slots)
     return document_text(document)
 
@@ -110,15 +109,14 @@ def _put_slots(document: XmlDocument, cluster: Element, slots: Sequence[MessageS
     elements = _package(document.root, _SLOTS)
     for slot in slots:
         frame = _named(elements, "FLEXRAY-FRAME", frame_name(slot))
-        add(frame, f"{AR}FRAME-LENGTH", slot.payload_bytes)
+        _put(frame, "FRAME-LENGTH", slot.payload_bytes)
     for node in sorted({slot.node for slot in slots}):
         _add_sender(elements, node, [slot for slot in slots if slot.node == node])
     for channel, letter in channels:
         sent = [slot for slot in slots if letter in slot.channel]
         connectors = _after_name(channel, "COMM-CONNECTORS")
         for node in sorted({slot.node for slot in sent}):
-            name = ecu_name(node)
-            _refer_to_connector(connectors, f"/{_SLOTS}/{name}/connector_{letter}")
+            _refer_to_connector(connectors, f"/{_SLOTS}/{ecu_name(node)}/connector_{letter}")
         triggerings = Element(f"{AR}FRAME-TRIGGERINGS")
         channel.insert(list(channel).index(connectors) + 1, triggerings)
         for slot in sent:
@@ -143,52 +141,44 @@ def _trigger(triggerings: Element, slot: MessageSlot, letter: str) -> None:
     name = frame_name(slot)
     one = _named(triggerings, "FLEXRAY-FRAME-TRIGGERING", f"triggering_{name}_{letter}")
     port = f"/{_SLOTS}/{ecu_name(slot.node)}/connector_{letter}/port_{name}"
-    add(add(one, f"{AR}FRAME-PORT-REFS"), f"{AR}FRAME-PORT-REF", port, DEST="FRAME-PORT")
-    add(one, f"{AR}FRAME-REF", f"/{_SLOTS}/{name}", DEST="FLEXRAY-FRAME")
-    timings = add(one, f"{AR}ABSOLUTELY-SCHEDULED-TIMINGS")
-    timing = add(timings, f"{AR}FLEXRAY-ABSOLUTELY-SCHEDULED-TIMING")
-    turn = add(add(timing, f"{AR}COMMUNICATION-CYCLE"), f"{AR}CYCLE-REPETITION")
-    add(turn, f"{AR}BASE-CYCLE", slot.base_cycle)
-    add(turn, f"{AR}CYCLE-REPETITION", f"CYCLE-REPETITION-{slot.repetition}")
-    add(timing, f"{AR}SLOT-ID", slot.frame_id)
+    _put(one, "FRAME-PORT-REFS/FRAME-PORT-REF", port, DEST="FRAME-PORT")
+    _put(one, "FRAME-REF", f"/{_SLOTS}/{name}", DEST="FLEXRAY-FRAME")
+    timing = _put(one, "ABSOLUTELY-SCHEDULED-TIMINGS/FLEXRAY-ABSOLUTELY-SCHEDULED-TIMING")
+    _put(timing, f"{_TURN}/BASE-CYCLE", slot.base_cycle)
+    _put(timing, f"{_TURN}/CYCLE-REPETITION", f"CYCLE-REPETITION-{slot.repetition}")
+    _put(timing, "SLOT-ID", slot.frame_id)
 
 
 def _add_sender(elements: Element, node: int, slots: Sequence[MessageSlot]) -> None:
     """Add the ECU of a node, with a connector to each of its channels and a port for each frame."""
     ecu = _named(elements, "ECU-INSTANCE", ecu_name(node))
-    controllers = add(ecu, f"{AR}COMM-CONTROLLERS")
-    _named(controllers, "FLEXRAY-COMMUNICATION-CONTROLLER", "controller")
-    connectors = add(ecu, f"{AR}CONNECTORS")
+    _named(_put(ecu, "COMM-CONTROLLERS"), _CONTROLLER, "controller")
+    connectors = _put(ecu, "CONNECTORS")
     for letter in sorted({letter for slot in slots for letter in slot.channel}):
         path = f"/{_SLOTS}/{ecu_name(node)}/controller"
-        connector = _connector(connectors, f"connector_{letter}", path)
-        ports = add(connector, f"{AR}ECU-COMM-PORT-INSTANCES")
+        ports = _put(_connector(connectors, f"connector_{letter}", path), "ECU-COMM-PORT-INSTANCES")
         for slot in slots:
             if letter in slot.channel:
                 port = _named(ports, "FRAME-PORT", f"port_{frame_name(slot)}")
-                add(port, f"{AR}COMMUNICATION-DIRECTION", "OUT")
+                _put(port, "COMMUNICATION-DIRECTION", "OUT")
 
 
 def _add_controllers(elements: Element, cluster: Cluster) -> list[str]:
     """Add the ECU with the nodes' parameters and a controller for each key slot; return their
     names."""
     ecu = _named(elements, "ECU-INSTANCE", "node")
-    controllers, connectors = add(ecu, f"{AR}COMM-CONTROLLERS"), add(ecu, f"{AR}CONNECTORS")
+    controllers, connectors = _put(ecu, "COMM-CONTROLLERS"), _put(ecu, "CONNECTORS")
     stated: dict[str, dict[str, object]] = {
         "controller": dict(_FORMAT.stated(cluster, "controller"))
     }
     for slot in cluster.sync_slots:
-        stated[f"controller_{slot}"] = {
-            "KEY-SLOT-ID": slot,
-            "KEY-SLOT-USED-FOR-START-UP": str(slot in cluster.startup_slots).lower(),
-            "KEY-SLOT-USED-FOR-SYNC": "true",
-        }
+        starts = str(slot in cluster.startup_slots).lower()
+        usage = {"KEY-SLOT-USED-FOR-START-UP": starts, "KEY-SLOT-USED-FOR-SYNC": "true"}
+        stated[f"controller_{slot}"] = {"KEY-SLOT-ID": slot, **usage}
     for name, values in stated.items():
-        controller = _named(controllers, "FLEXRAY-COMMUNICATION-CONTROLLER", name)
-        variants = add(controller, f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER-VARIANTS")
-        values_of = add(variants, f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER-CONDITIONAL")
-        for tag, value in sorted(values.items()):
-            add(values_of, AR + tag, value)
+        controller = _named(controllers, _CONTROLLER, name)
+        for tag, value in values.items():
+            _put(controller, f"{_CONTROLLER}-VARIANTS/{_CONTROLLER}-CONDITIONAL/{tag}", value)
         for letter in cluster.channels:
             _connector(connectors, f"connector_{name}_{letter}", f"/concord/node/{name}")
     return list(stated)
@@ -196,28 +186,32 @@ def _add_controllers(elements: Element, cluster: Cluster) -> list[str]:
 
 def _connector(connectors: Element, name: str, controller: str) -> Element:
     connector = _named(connectors, "FLEXRAY-COMMUNICATION-CONNECTOR", name)
-    kind = "FLEXRAY-COMMUNICATION-CONTROLLER"
-    add(connector, f"{AR}COMM-CONTROLLER-REF", controller, DEST=kind)
+    _put(connector, "COMM-CONTROLLER-REF", controller, DEST=_CONTROLLER)
     return connector
 
 
 def _refer_to_connector(connectors: Element, path: str) -> None:
-    conditional = add(connectors, f"{AR}COMMUNICATION-CONNECTOR-REF-CONDITIONAL")
+    conditional = _put(connectors, "COMMUNICATION-CONNECTOR-REF-CONDITIONAL")
     kind = "FLEXRAY-COMMUNICATION-CONNECTOR"
-    add(conditional, f"{AR}COMMUNICATION-CONNECTOR-REF", path, DEST=kind)
+    _put(conditional, "COMMUNICATION-CONNECTOR-REF", path, DEST=kind)
 
 
 def _package(root: Element, name: str) -> Element:
-    packages = root.find(f"{AR}AR-PACKAGES")
-    if packages is None:
-        packages = add(root, f"{AR}AR-PACKAGES")
-    return add(_named(packages, "AR-PACKAGE", name), f"{AR}ELEMENTS")
+    return _put(_named(section(root, f"{AR}AR-PACKAGES"), "AR-PACKAGE", name), "ELEMENTS")
 
 
 def _named(parent: Element, tag: str, name: str) -> Element:
-    element = add(parent, AR + tag)
-    add(element, f"{AR}SHORT-NAME", name)
+    element = _put(parent, tag)
+    _put(element, "SHORT-NAME", name)
     return element
+
+
+def _put(parent: Element, path: str, text: object = None, **attributes: str) -> Element:
+    """Append the last element of a path, below elements that are added where they are missing."""
+    *above, last = path.split("/")
+    for tag in above:
+        parent = section(parent, AR + tag)
+    return add(parent, AR + last, text, **attributes)
 
 
 def _after_name(element: Element, tag: str) -> Element:
@@ -300,9 +294,9 @@ def _controllers(root: Element, cluster: Element, where: str) -> list[Element]:
             if connector is not None:
                 path = connector.findtext(f"{AR}COMM-CONTROLLER-REF", "").strip()
                 connected += [named[path]] if path in named else []
-    every = list(root.iter(f"{AR}FLEXRAY-COMMUNICATION-CONTROLLER"))
+    every = list(root.iter(AR + _CONTROLLER))
     kept = [one for one in every if one in connected or not connected]
-    return [_conditional(one, "FLEXRAY-COMMUNICATION-CONTROLLER") for one in kept]
+    return [_conditional(one, _CONTROLLER) for one in kept]
 
 
 def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:

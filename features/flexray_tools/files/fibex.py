@@ -67,20 +67,13 @@ def fibex_with_slots(
     document = parse_document(text, "FIBEX")
     root = document.root
     channels = _channels(root, find_cluster(_FORMAT, root, name))
-    gone = {
-        one.get("ID") for channel, _ in channels for one in channel.iter(f"{FX}FRAME-TRIGGERING")
-    }
-    for channel, _ in channels:
-        for triggerings in channel.findall(f"{FX}FRAME-TRIGGERINGS"):
-            channel.remove(triggerings)
-    _without_ports(root, gone)
+    _remove_slots(root, [channel for channel, _ in channels])
     elements = section(root, f"{FX}ELEMENTS")
     frames, ecus = section(elements, f"{FX}FRAMES"), section(elements, f"{FX}ECUS")
     known = {frame.get("ID"): frame for frame in frames}
     for slot in slots:
-        frame = known.get(frame_name(slot))
-        if frame is not None:
-            frames.remove(frame)
+        if frame_name(slot) in known:
+            frames.remove(known[frame_name(slot)])
         frame = add(frames, f"{FX}FRAME", ID=frame_name(slot))
         add(frame, f"{HO}SHORT-NAME", frame_name(slot))
         add(frame, f"{FX}BYTE-LENGTH", slot.payload_bytes)
@@ -96,13 +89,16 @@ def fibex_with_slots(
     return document_text(document)
 
 
-def _without_ports(root: Element, gone: set[str | None]) -> None:
-    """Remove the ports of triggerings that are gone."""
-    for tag in ("INPUT-PORT", "OUTPUT-PORT"):
-        for parent in root.iter():
-            for port in parent.findall(FX + tag):
-                if any(one.get("ID-REF") in gone for one in port.iter(f"{FX}FRAME-TRIGGERING-REF")):
-                    parent.remove(port)
+def _remove_slots(root: Element, channels: Sequence[Element]) -> None:
+    """Remove the triggerings of channels, and the ports of these."""
+    gone = {one.get("ID") for channel in channels for one in channel.iter(_FORMAT.triggering)}
+    for channel in channels:
+        for triggerings in channel.findall(f"{FX}FRAME-TRIGGERINGS"):
+            channel.remove(triggerings)
+    for parent in root.iter():
+        for port in [one for one in parent if one.tag in (f"{FX}INPUT-PORT", f"{FX}OUTPUT-PORT")]:
+            if not gone.isdisjoint(_references(port, "FRAME-TRIGGERING-REF")):
+                parent.remove(port)
 
 
 def _trigger(triggerings: Element, slot: MessageSlot, letter: str) -> None:
@@ -119,10 +115,8 @@ def _connect(
 ) -> None:
     """Give the ECU of a node a connector to a channel, with an output port for each frame."""
     name = ecu_name(node)
-    found = [one for one in ecus if one.get("ID") == name]
-    if found:
-        (ecu,) = found
-    else:
+    ecu = next((one for one in ecus if one.get("ID") == name), None)
+    if ecu is None:
         ecu = add(ecus, f"{FX}ECU", ID=name)
         add(ecu, f"{HO}SHORT-NAME", name)
         controllers = add(ecu, f"{FX}CONTROLLERS")
