@@ -43,7 +43,7 @@ from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
 from concord.runtime.whole_steps import WholeSteps
 from concord.scenarios.build import build_environment, build_node
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.setup import Setup
 
 TURNS, NETWORK_TURNS = 5, 3

@@ -33,10 +33,10 @@ from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import McapRecorder
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
 from docs.shots import LIVE_SHOTS, SHOTS, LiveShot, Shot
 

@@ -23,7 +23,7 @@ from concord.dashboard.frames.expected import Expected, nothing_expected
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
 from concord.studies.priority import give_way
 

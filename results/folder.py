@@ -26,7 +26,7 @@ from concord.results.records.trace import Past, Trace
 from concord.results.user_files import from_copies, keep_copies
 from concord.runtime.json_file import read_json, write_json
 from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from concord.results.records.netcdf_file import read_dataset
 from concord.results.records.trace import Past
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.schedules import occupancy_of

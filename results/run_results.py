@@ -21,7 +21,7 @@ from concord.results.records.trace import Trace, read_trace
 from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.moves import with_moves
 from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup

@@ -22,7 +22,7 @@ from concord.scenarios.baselines import (
     filters_step_by_step,
 )
 from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.filters import models_of
+from concord.scenarios.filter_table.filters import models_of
 from concord.scenarios.setup import Setup
 
 SMOOTHED = "smoothed.nc"

@@ -13,7 +13,7 @@ from concord.runtime.processes.job import Happened
 from concord.runtime.processes.launcher import run_processes
 from concord.runtime.recording import McapRecorder, MemoryRecorder, Recorder
 from concord.scenarios.build import build_environment, build_node
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup

@@ -30,7 +30,7 @@ from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.moves import with_scripted_moves
 from concord.scenarios.preparation import setup_of_run
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.setup import Setup
 
 

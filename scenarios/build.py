@@ -17,15 +17,15 @@ from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
-from concord.scenarios.bus_plan import plan_bus
+from concord.scenarios.bus_table.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.closed_loop import control_node
 from concord.scenarios.equipment import build_faults, spread_of
-from concord.scenarios.filters import build_filter, models_of
+from concord.scenarios.filter_table.filters import build_filter, models_of
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
-from concord.scenarios.rules import (
+from concord.scenarios.rule_table.rules import (
     build_estimator,
     hold_policy,
     is_set_valued,

@@ -22,117 +22,117 @@ SCENARIOS = {
 }
 RULES = {
     "ci": (
-        "concord.scenarios.rules_of_beliefs:CI",
+        "concord.scenarios.rule_table.rules_of_beliefs:CI",
         "Covariance intersection: consistent for any correlation, never less tight than wac.",
         f"{_TYPES}.rules:CovarianceIntersection",
     ),
     "sharp-ci": (
-        "concord.scenarios.rules_of_beliefs:SHARP_CI",
+        "concord.scenarios.rule_table.rules_of_beliefs:SHARP_CI",
         "ci with weights that go to the sharper beliefs of a neighbourhood: less error and "
         "caution.",
         f"{_TYPES}.rules:SharpCovarianceIntersection",
     ),
     "trimmed-ci": (
-        "concord.scenarios.rules_of_beliefs:TRIMMED_CI",
+        "concord.scenarios.rule_table.rules_of_beliefs:TRIMMED_CI",
         "ci that --liars of a node's neighbours cannot drag away; needs twice as many neighbours.",
         f"{_TYPES}.rules:TrimmedCovarianceIntersection",
     ),
     "wac": (
-        "concord.scenarios.rules_of_beliefs:WAC",
+        "concord.scenarios.rule_table.rules_of_beliefs:WAC",
         "Weighted average of means and covariances (the paper's): no inverse, may diverge.",
         f"{_TYPES}.rules:WeightedAverage",
     ),
     "hcmci": (
-        "concord.scenarios.rules_of_rounds:HCMCI",
+        "concord.scenarios.rule_table.rules_of_rounds:HCMCI",
         "Consensus on prior and novelty, safe gain: consistent, near centralised with more rounds.",
         f"{_TYPES}.rules:HybridConsensus",
     ),
     "icf": (
-        "concord.scenarios.rules_of_rounds:ICF",
+        "concord.scenarios.rule_table.rules_of_rounds:ICF",
         "Information-weighted consensus in the bytes of ci: overconfident before rounds converge.",
         f"{_TYPES}.rules:InformationConsensus",
     ),
     "diffusion": (
-        "concord.scenarios.rules_of_rounds:DIFFUSION",
+        "concord.scenarios.rule_table.rules_of_rounds:DIFFUSION",
         "Readings of the neighbours, then averaged means; covariance not fused: not consistent.",
         f"{_TYPES}.rules:DiffusionRule",
     ),
     "kcf": (
-        "concord.scenarios.rules_of_rounds:KCF",
+        "concord.scenarios.rule_table.rules_of_rounds:KCF",
         "Readings of the neighbours, then a pull to their means: not consistent, takes no weights.",
         f"{_TYPES}.rules:KalmanConsensus",
     ),
     "labelled": (
-        "concord.scenarios.labelled_rule:LABELLED",
+        "concord.scenarios.rule_table.labelled_rule:LABELLED",
         "Measurements with labels, each counted once: near centralised in a fraction of the bytes.",
         f"{_TYPES}.rules:MeasurementFlooding",
     ),
     "local": (
-        "concord.scenarios.rules_of_beliefs:LOCAL",
+        "concord.scenarios.rule_table.rules_of_beliefs:LOCAL",
         "Every node alone: publishes, but fuses nothing.",
         f"{_TYPES}.rules:LocalRule",
     ),
     "centralised": (
-        "concord.scenarios.rules_of_rounds:CENTRALISED",
+        "concord.scenarios.rule_table.rules_of_rounds:CENTRALISED",
         "All readings at every node: the optimum; complete graph, full schedule, one round.",
         f"{_TYPES}.rules:CentralisedRule",
     ),
 }
 FILTERS = {
     "ukf": (
-        "concord.scenarios.gaussian_filters:UKF",
+        "concord.scenarios.filter_table.gaussian_filters:UKF",
         "Unscented Kalman filter, with the sigma points of the scenario.",
         f"{_TYPES}.filters:UnscentedFilter",
     ),
     "ckf": (
-        "concord.scenarios.gaussian_filters:CKF",
+        "concord.scenarios.filter_table.gaussian_filters:CKF",
         "Cubature Kalman filter: sigma points of equal positive weights.",
         f"{_TYPES}.filters:CubatureFilter",
     ),
     "srukf": (
-        "concord.scenarios.gaussian_filters:SRUKF",
+        "concord.scenarios.filter_table.gaussian_filters:SRUKF",
         "Unscented Kalman filter in square-root form: no difference of covariances.",
         f"{_TYPES}.filters:SquareRootUnscented",
     ),
     "srckf": (
-        "concord.scenarios.gaussian_filters:SRCKF",
+        "concord.scenarios.filter_table.gaussian_filters:SRCKF",
         "Cubature Kalman filter in square-root form: no difference of covariances.",
         f"{_TYPES}.filters:SquareRootCubature",
     ),
     "ekf": (
-        "concord.scenarios.gaussian_filters:EKF",
+        "concord.scenarios.filter_table.gaussian_filters:EKF",
         "Extended Kalman filter, with Jacobians by central differences.",
         f"{_TYPES}.filters:TangentFilter",
     ),
     "kf": (
-        "concord.scenarios.gaussian_filters:KF",
+        "concord.scenarios.filter_table.gaussian_filters:KF",
         "Kalman filter, for plants and sensors that are linear; takes a singular covariance.",
         f"{_TYPES}.filters:LinearFilter",
     ),
     "iplf": (
-        "concord.scenarios.gaussian_filters:IPLF",
+        "concord.scenarios.filter_table.gaussian_filters:IPLF",
         "Iterated posterior linearisation: the ukf, linearised where the reading leads.",
         f"{_TYPES}.filters:PosteriorLinearisation",
     ),
     "iekf": (
-        "concord.scenarios.gaussian_filters:IEKF",
+        "concord.scenarios.filter_table.gaussian_filters:IEKF",
         "Iterated extended Kalman filter: the ekf, linearised where the reading leads.",
         f"{_TYPES}.filters:IteratedTangentFilter",
     ),
     "imm": (
-        "concord.scenarios.gaussian_filters:IMM",
+        "concord.scenarios.filter_table.gaussian_filters:IMM",
         "Interacting multiple models: the ukf of a straight course and that of a turn.",
         f"{_TYPES}.filters:InteractingMultipleModels",
     ),
 }
 BUSES = {
     "flexray": (
-        "concord.scenarios.flexray_plan:FLEXRAY",
+        "concord.scenarios.bus_table.flexray_plan:FLEXRAY",
         "FlexRay: static and dynamic slots of a cluster, with times.",
         f"{_TYPES}.buses:FlexRay",
     ),
     "ideal": (
-        "concord.scenarios.bus_definition:IDEAL",
+        "concord.scenarios.bus_table.bus_definition:IDEAL",
         "Slots without time: whatever the schedule allows is transmitted.",
         f"{_TYPES}.buses:Ideal",
     ),

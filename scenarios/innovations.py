@@ -31,7 +31,7 @@ from concord.scenarios.baselines import driven_into, priors_of_runs
 from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.moves import with_scripted_moves
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.setup import Setup
 
 

@@ -17,12 +17,12 @@ from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import from_wire, to_wire
 from concord.nodes.share_forms import MEAN_REACH
 from concord.plants.placement import FILE, is_move, moved_sites, site_text
-from concord.scenarios.bus_plan import build_schedule, plan_bus
+from concord.scenarios.bus_table.bus_plan import build_schedule, plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
-from concord.scenarios.filters import check_models, check_prior
+from concord.scenarios.filter_table.filters import check_models, check_prior
 from concord.scenarios.links import losses_of, network_of, require_static_links
-from concord.scenarios.rules import check_rule, is_set_valued, share_size
+from concord.scenarios.rule_table.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
 from concord.scenarios.scenario_definition import ScenarioPlant
 from concord.scenarios.script import check_script, script_of

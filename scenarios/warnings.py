@@ -8,10 +8,10 @@ import numpy as np
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled.frame import MAX_WINDOW_STEPS
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import contenders_and_room, senders_of
+from concord.scenarios.bus_table.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.labelled import digest_of, latency_steps, window_of
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.labelled import digest_of, latency_steps, window_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import lossy_links
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator

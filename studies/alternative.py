@@ -12,7 +12,7 @@ from concord.results.records.trace import Trace
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay

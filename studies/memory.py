@@ -8,7 +8,7 @@ from heapq import nlargest
 from pathlib import Path
 
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.labelled import smoothing_lags
+from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges

@@ -14,7 +14,7 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.results.records.trace import Trace
 from concord.scenarios.innovations import innovations_of_nodes
-from concord.scenarios.rules import is_set_valued, wire_number
+from concord.scenarios.rule_table.rules import is_set_valued, wire_number
 from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
 

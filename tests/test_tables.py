@@ -19,9 +19,9 @@ from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import DRIVERS, in_memory
 from concord.scenarios.catalogue import definitions
-from concord.scenarios.flexray_plan import cluster_names
+from concord.scenarios.bus_table.flexray_plan import cluster_names
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import RuleChoice, Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.declarations import every_option

@@ -19,7 +19,7 @@ from concord.nodes.messages import Estimate
 from concord.scenarios.build import build_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import with_settings
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 

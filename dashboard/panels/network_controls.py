@@ -8,7 +8,7 @@ from concord.dashboard.frames.stage import Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.panels.commands import Commands
 from concord.entries import summaries
-from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.bus_table.bus_plan import arbiter_names
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.schedules import arbiter_of, occupancy_of
 

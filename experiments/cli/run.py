@@ -37,7 +37,7 @@ from concord.scenarios.tempo import tempo_of
 from concord.scenarios.warnings import warnings_of
 from concord.studies.few_samples import few_runs, few_steps
 from concord.studies.memory import check_address_space, check_memory
-from concord.studies.monte_carlo.run_many import run_many
+from concord.experiments.run_many import run_many
 from concord.studies.progress import progress
 
 REALTIME = "realtime"

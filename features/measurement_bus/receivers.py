@@ -17,7 +17,7 @@ from concord.features.measurement_bus.stochastic_ukf import (
 )
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import (
     FilterBase,

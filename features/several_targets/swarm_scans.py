@@ -32,8 +32,8 @@ from concord.nodes.lanes.links import Links
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec, labelled_bytes, least_limit
-from concord.scenarios.filters import build_filter
-from concord.scenarios.labelled import (
+from concord.scenarios.filter_table.filters import build_filter
+from concord.scenarios.rule_table.labelled import (
     check_labelled,
     choice_of,
     digest_of,

@@ -7,7 +7,7 @@ from concord.features.vehicle.adaptive.fuzzy_noise import FuzzyMatching
 from concord.features.vehicle.adaptive.sage_husa import Bounds, SageHusa
 from concord.features.vehicle.options import FuzzyUnscented, SageHusaBase
 from concord.filters.sigma_point_filter import SigmaPointFilter
-from concord.scenarios.filter_entry import FilterEntry
+from concord.scenarios.filter_table.filter_entry import FilterEntry
 from concord.scenarios.types.filters import NoiseLearningFilter
 
 

@@ -23,7 +23,7 @@ from concord.results.figures.intervals import positive_mean_t, ratio_t
 from concord.runtime.batched.build import build_network
 from concord.runtime.batched.driver import run
 from concord.scenarios.baselines import centralised_of_runs
-from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.bus_table.bus_plan import build_schedule
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare, share_bytes
 from concord.scenarios.scenario import Scenario

@@ -10,7 +10,7 @@ from concord.filters.linalg import symmetrise
 from concord.filters.metrics import consensus
 from concord.results.records.extras import RunExtra, run_extras
 from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 

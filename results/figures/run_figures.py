@@ -26,7 +26,7 @@ from concord.results.records.extras import run_extras
 from concord.results.records.histories import Histories
 from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 

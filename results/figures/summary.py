@@ -35,7 +35,7 @@ from concord.results.run_verdict import anees_interval
 from concord.results.smoothing import SmoothingFigures
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 

@@ -37,7 +37,7 @@ from concord.scenarios.preparation import (
     share_bytes,
     with_settings,
 )
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup

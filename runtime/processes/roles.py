@@ -21,7 +21,7 @@ from concord.runtime.processes.node.membership import Membership
 from concord.runtime.processes.node.process import run_node
 from concord.runtime.processes.node.real_time import RealTimeNode
 from concord.runtime.processes.supervisor import TRY_AGAIN
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings, fingerprint
 from concord.scenarios.script import script_of
 

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from concord.bus.bus import FrameFormat, Rejected
 from concord.results.folder import ARRAYS, recording_of
 from concord.results.records.netcdf_file import read_dataset
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.scenario import Scenario
 
 if TYPE_CHECKING:

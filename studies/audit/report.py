@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from concord.results.figures.intervals import chi_square_quantile
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.studies.audit.evidence import Evidence, read_evidence
 from concord.studies.audit.member_history import member_history_of
 from concord.studies.audit.promises import PROMISES, Account, Run, RunPromise, source_of

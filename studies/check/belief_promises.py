@@ -11,7 +11,7 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.results.figures.intervals import mean_t
-from concord.scenarios.rules_of_beliefs import Average
+from concord.scenarios.rule_table.rules_of_beliefs import Average
 from concord.studies.check.neighbourhoods import (
     LANES,
     Neighbourhood,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from concord.entries import summaries
-from concord.scenarios.bus_plan import arbiter_names, schedule_names
+from concord.scenarios.bus_table.bus_plan import arbiter_names, schedule_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_with_known

@@ -10,7 +10,7 @@ from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model
 from concord.filters.update import Update
-from concord.scenarios.filters import build_filter, entry_of
+from concord.scenarios.filter_table.filters import build_filter, entry_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of

@@ -13,7 +13,7 @@ from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.assignment import flat

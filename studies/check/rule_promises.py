@@ -16,8 +16,8 @@ from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import rule_of
-from concord.scenarios.rules_of_beliefs import Average
+from concord.scenarios.rule_table.rules import rule_of
+from concord.scenarios.rule_table.rules_of_beliefs import Average
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import in_options, scenario_with_known
 from concord.scenarios.setup import Setup

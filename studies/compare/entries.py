@@ -8,7 +8,7 @@ import msgspec
 
 from concord.entries import summaries
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.user.values import is_source_name
 from concord.studies.compare.suite import SUITE, Case

@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.types.rules import UserRule
 from concord.studies.compare.entries import Entry
 from concord.studies.compare.node_time import node_update_us

@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.bus.schedule import publishers_per_cycle
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.rules import rule_of
+from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario_options import scenario_with_known
 from concord.studies.sweep.specification import Specification, Value
 

@@ -18,7 +18,7 @@ from concord.results.folder import ARRAYS, RECORDING, describe, write_arrays
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder
-from concord.scenarios.bus_definition import frame_format
+from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.studies.audit.member_history import member_history_of
 from concord.studies.audit.promises import PROMISES
 from concord.studies.audit.report import _around, audit

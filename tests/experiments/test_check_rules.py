@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from concord.experiments.cli.command_line import main
-from concord.scenarios import rules
+from concord.scenarios.rule_table import rules
 from concord.studies.check.rule_promises import RULE_PROMISES
 from tests.pages import ROOT, blocks
 

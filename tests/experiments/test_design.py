@@ -15,7 +15,7 @@ from concord.bus.schedule import publishers_per_cycle
 from concord.experiments.__main__ import main
 from concord.experiments.cli.design import lines, table
 from concord.runtime.json_file import write_json
-from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.bus_table.bus_plan import build_schedule
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.schedules import occupancy_of

@@ -123,7 +123,7 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("concord.studies.monte_carlo.run_many.simulate", interrupted)
+    monkeypatch.setattr("concord.experiments.run_many.simulate", interrupted)
     said = run(capsys, "--driver", "batched", "--out", tmp_path / "many")
     assert said.code == 130 and "is removed" in said.err
     assert not (tmp_path / "many").exists()

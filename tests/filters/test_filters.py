@@ -15,7 +15,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.scenario import FilterChoice
 from concord.scenarios.types.option import name_of
 from tests.filters import kalman

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from concord.entries import summaries
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.scenario import FilterChoice
 from concord.scenarios.types.filters import NoiseLearningFilter
 from concord.scenarios.types.option import name_of

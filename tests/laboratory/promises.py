@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from concord.experiments.conformance.drawn_networks import EXACT_PLANTS
 from concord.nodes.commands import Configure, Inject
-from concord.scenarios.rules import Rule, rule_of
+from concord.scenarios.rule_table.rules import Rule, rule_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup

@@ -11,7 +11,7 @@ from concord.filters.gaussian import Gaussian
 from concord.runtime.in_process import Link
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.node_context import NodeContext, RuleContext
-from concord.scenarios.rules import build_estimator, hold_policy
+from concord.scenarios.rule_table.rules import build_estimator, hold_policy
 from tests.nodes.networks import (
     Adjacency,
     Network,

@@ -13,9 +13,9 @@ from concord.nodes.messages import Measured
 from concord.nodes.rules.local_filter import LocalFilters, SensorGroup
 from concord.plants.oscillator import Oscillation, ScalarSensor
 from concord.scenarios.catalogue import definition_named
-from concord.scenarios.filters import build_filter
+from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.node_context import NodeContext, RuleContext
-from concord.scenarios.rules import build_estimator, hold_policy
+from concord.scenarios.rule_table.rules import build_estimator, hold_policy
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))

@@ -15,7 +15,7 @@ from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import own_scenario
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import share_size
+from concord.scenarios.rule_table.rules import share_size
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.warnings import warnings_of

@@ -6,7 +6,7 @@ import pytest
 from concord.bus.arbitration import ARBITERS, Arbiter, ArbiterState, Numbers
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
-from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.bus_table.bus_plan import arbiter_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup

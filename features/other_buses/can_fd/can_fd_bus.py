@@ -22,7 +22,7 @@ from concord.features.other_buses.can_fd.frame import FRAMINGS
 from concord.features.other_buses.can_fd.priority import BidLevels, layout
 from concord.features.other_buses.can_fd.response_times import Message, response_times
 from concord.features.other_buses.options import CanFd
-from concord.scenarios.bus_definition import BusDefinition, BusRequest
+from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
 
 # The bid itself is in the identifier, so controllers do what the ideal arbiter says.
 _BY_BID = Arbiter(lowest_frame_id, by_class=True, is_ideal=False)

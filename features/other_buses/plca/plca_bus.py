@@ -17,7 +17,7 @@ from concord.features.other_buses.plca.cycle import (
     worst_access_bits,
 )
 from concord.features.other_buses.plca.ethernet import FRAMING, MAX_NODES
-from concord.scenarios.bus_definition import BusDefinition, BusRequest
+from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
 
 
 class PlcaBus(IdentifiedBus):

@@ -7,7 +7,7 @@ from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.bounded_network import BoundedNetwork, on_the_bound
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rules import is_set_valued
+from concord.scenarios.rule_table.rules import is_set_valued
 from tests.experiments.support import scenario, small
 
 NAME = "liu2021-network"

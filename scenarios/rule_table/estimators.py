@@ -10,8 +10,8 @@ from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.node_context import BatchContext, NodeContext, RuleContext
-from concord.scenarios.rule import Rule
-from concord.scenarios.share_kinds import ShareKind
+from concord.scenarios.rule_table.rule import Rule
+from concord.scenarios.rule_table.share_kinds import ShareKind
 
 if TYPE_CHECKING:
     from concord.nodes.lanes.network import BatchedRule

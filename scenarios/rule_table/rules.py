@@ -10,10 +10,10 @@ from concord.entries import chosen
 from concord.filters.fusion import hold
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.rules.belief_consensus import HoldPolicy
-from concord.scenarios.filters import check_shares, models_of
+from concord.scenarios.filter_table.filters import check_shares, models_of
 from concord.scenarios.node_context import NodeContext
-from concord.scenarios.rule import Rule
-from concord.scenarios.rules_of_beliefs import averaged
+from concord.scenarios.rule_table.rule import Rule
+from concord.scenarios.rule_table.rules_of_beliefs import averaged
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
 from concord.scenarios.types.rules import NumberRule, UserRule, hold_of, number_of

@@ -6,7 +6,7 @@ from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature
 from concord.filters.square_root_filter import SquareRootFilter
-from concord.scenarios.filter_entry import FilterEntry
+from concord.scenarios.filter_table.filter_entry import FilterEntry
 from concord.scenarios.types.filters import InteractingMultipleModels
 
 _EXACT_STEP = 1.0

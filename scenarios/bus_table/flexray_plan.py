@@ -13,7 +13,7 @@ from concord.bus.flexray.flexray_bus import flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.schedule import Schedule
-from concord.scenarios.bus_definition import BusDefinition, BusRequest
+from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
 from concord.topology.names import unknown_name
@@ -34,7 +34,7 @@ def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
         asked = asked._replace(arbiter=asked.arbiter._replace(withdraws=False, cuts=True))
     if isinstance(chosen.schedule, WrittenSchedule):
         # Only here: most networks have no written table.
-        from concord.scenarios.written_plan import bus_of_table
+        from concord.scenarios.bus_table.written_plan import bus_of_table
 
         return bus_of_table(chosen, chosen.schedule, asked)
     cluster, plan = _cluster(chosen, asked)

@@ -13,7 +13,7 @@ from concord.nodes.rules.labelled.frame import LabelledFrameCodec
 from concord.nodes.rules.labelled.smoothing import SmoothingFlooding
 from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
-from concord.scenarios.labelled import (
+from concord.scenarios.rule_table.labelled import (
     check_labelled,
     choice_of,
     flooding_of,
@@ -23,7 +23,7 @@ from concord.scenarios.labelled import (
     without_arrays,
 )
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext
-from concord.scenarios.rule import Rule
+from concord.scenarios.rule_table.rule import Rule
 
 
 def node_parts(window: type[WindowFilter], context: NodeContext) -> dict[str, Any]:

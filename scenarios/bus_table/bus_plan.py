@@ -17,7 +17,7 @@ from concord.bus.schedule import (
 )
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.nodes.bids import BIDS_FOR_CHANGE
-from concord.scenarios.bus_definition import BusRequest, bus_definition
+from concord.scenarios.bus_table.bus_definition import BusRequest, bus_definition
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import FlexRay, SharedBus, UserBus
@@ -82,7 +82,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     if isinstance(chosen, WrittenSchedule):
         assert isinstance(scenario.bus, FlexRay)
         # Only here: most networks have no written table.
-        from concord.scenarios.written_plan import schedule_of_table
+        from concord.scenarios.bus_table.written_plan import schedule_of_table
 
         return _relayed(scenario, schedule_of_table(scenario.bus, chosen, scenario.nodes))
     if chosen.name not in _SCHEDULES:

@@ -19,8 +19,8 @@ from concord.nodes.rules.labelled.frame import (
 )
 from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_codec import PACKED, reading_bytes, record_codec
-from concord.scenarios.bus_definition import frame_format
-from concord.scenarios.filters import learns
+from concord.scenarios.bus_table.bus_definition import frame_format
+from concord.scenarios.filter_table.filters import learns
 from concord.scenarios.node_context import Everybody
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of

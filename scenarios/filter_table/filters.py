@@ -11,7 +11,7 @@ from concord.filters.linalg import cholesky
 from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.plants.motion import CoordinatedTurn
-from concord.scenarios.filter_entry import FilterEntry
+from concord.scenarios.filter_table.filter_entry import FilterEntry
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import FilterBase, NoiseLearningFilter, UserFilter
 from concord.scenarios.types.rules import number_of

@@ -1,0 +1,1 @@
+"""Buses as the table of buses has them."""

@@ -1,0 +1,1 @@
+"""Filters as the table of filters has them."""

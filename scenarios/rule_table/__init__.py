@@ -1,0 +1,1 @@
+"""Fusion rules as the table of rules has them."""
