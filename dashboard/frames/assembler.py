@@ -4,13 +4,11 @@ The order of messages within a step does not matter, and steps may be left out: 
 totals or in ages is true all the same.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from concord.dashboard.frames.bus_cycles import BusView, judged
-from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame, StepScores
+from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
 from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, after_all, read_change
 from concord.dashboard.frames.reading_filters import ReadingFilters
 from concord.dashboard.frames.scores import fuse, score, with_errors
@@ -125,6 +123,9 @@ class Assembler:
         alive = self._alive.copy()
         ages = self._ages.copy()
         fused = fuse(self._belief, alive)
+        scores = score(stage, truth, self._belief, alive, fused, central)
+        if stage.own is not None:
+            scores = with_errors(scores, stage.own.errors(extra)[alive])
         return StepFrame(
             stage=stage,
             step=number,
@@ -142,21 +143,10 @@ class Assembler:
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=judged(cycles, stage.heard, ages, alive, events),
-            scores=self._scores(truth, alive, (fused, central), extra)._replace(nis=nis),
+            scores=scores._replace(nis=nis),
             events=events,
             extra=extra,
         )
-
-    def _scores(
-        self,
-        truth: np.ndarray,
-        alive: np.ndarray,
-        together: tuple[Gaussian, Gaussian | None],
-        extra: Any,
-    ) -> StepScores:
-        """Return the scores of a step; the errors are those of its own page where it has one."""
-        found, own = score(self._stage, truth, self._belief, alive, *together), self._stage.own
-        return found if own is None else with_errors(found, own.errors(extra)[alive])
 
     def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()

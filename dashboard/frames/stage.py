@@ -47,7 +47,7 @@ class StepsTold(Protocol):
 
 
 class OwnPage(NamedTuple):
-    """What the page shows of a scenario whose nodes have places, and tell more than a belief.
+    """Page of a scenario whose nodes have places, and tell more than a belief.
 
     Attributes:
         begin: setup -> what takes the steps of a network; each gives a `StepFrame.extra`.

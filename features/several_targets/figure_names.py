@@ -1,6 +1,6 @@
 """Figures of several targets for `concord.results.figures.figure_table`, without their functions.
 
-The table of figures loads this file in each sweep, and the functions only where targets are.
+Reason for a file of its own: each sweep loads it, and the functions only where targets are.
 """
 
 _SCORES = {

@@ -1,4 +1,4 @@
-"""What results know of tracks: scores of nodes and centre, and nodes with equal records."""
+"""Results of tracks: scores of nodes and centre, and nodes with equal records."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -16,8 +16,10 @@ from concord.scenarios.setup import Setup
 
 
 class RunTruths(NamedTuple):
-    """Truth (R, S, n) and readings (R, S, N, r, d) of R runs of S steps, by which they are scored;
-    with what nodes tell beside their beliefs, of each run of a scenario with `RunExtras`."""
+    """Truth (R, S, n) and readings (R, S, N, r, d) of R runs of S steps, by which they are scored.
+
+    `extras` has one value of each run of a scenario with `RunExtras`.
+    """
 
     truth: np.ndarray
     readings: np.ndarray

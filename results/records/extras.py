@@ -19,7 +19,7 @@ Told = Mapping[tuple[int, int], ReportedTracks | None]
 
 
 class RunExtra(Protocol):
-    """What the nodes of one run tell beside their beliefs, as the scenario reads it."""
+    """Messages of one run beside beliefs, as the scenario reads them."""
 
     def distances(self) -> np.ndarray:
         """Errors (steps, N) in place of those of the beliefs, NaN while a node was out."""

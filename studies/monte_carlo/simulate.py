@@ -216,7 +216,7 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
 
 
 class _Told:
-    """What the nodes of R runs tell beside their beliefs, and the states of their plants."""
+    """Messages of R runs beside beliefs, and the states of their plants."""
 
     def __init__(self, setup: Setup, extras: RunExtras, runs: int) -> None:
         self._setup, self._extras = setup, extras
