@@ -18,8 +18,8 @@ from concord.nodes.faults.vocabulary import EVERY_FAULT
 from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import DRIVERS, in_memory
+from concord.scenarios.bus_table.clusters import cluster_names
 from concord.scenarios.catalogue import definitions
-from concord.scenarios.bus_table.flexray_plan import cluster_names
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import RuleChoice, Scenario

@@ -13,8 +13,8 @@ from rich.table import Table
 from concord.entries import summaries
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
 from concord.scenarios.bus_table.bus_plan import arbiter_names, schedule_names
+from concord.scenarios.bus_table.clusters import cluster_names
 from concord.scenarios.catalogue import definitions
-from concord.scenarios.bus_table.flexray_plan import cluster_names
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.scenario_options import offered_options
 from concord.scenarios.types.option import name_of

@@ -13,6 +13,7 @@ import tyro
 from concord.experiments.cli.collect import FiguresForm, ResultOptions, finish
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
+from concord.experiments.run_many import run_many
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
@@ -37,7 +38,6 @@ from concord.scenarios.tempo import tempo_of
 from concord.scenarios.warnings import warnings_of
 from concord.studies.few_samples import few_runs, few_steps
 from concord.studies.memory import check_address_space, check_memory
-from concord.experiments.run_many import run_many
 from concord.studies.progress import progress
 
 REALTIME = "realtime"

@@ -26,15 +26,15 @@ from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.lane_rule import LocalStep
 from concord.nodes.rules.local_filter import LocalFilters, Model
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.rule_table.estimators import at_node, in_batch
 from concord.scenarios.filter_table.filters import build_filter
+from concord.scenarios.node_context import RuleContext
+from concord.scenarios.rule_table.estimators import at_node, in_batch
 from concord.scenarios.rule_table.labelled import check_labelled, largest_share, without_arrays
 from concord.scenarios.rule_table.labelled_rule import batch_parts, node_parts
-from concord.scenarios.node_context import RuleContext
 from concord.scenarios.rule_table.rule import Rule
+from concord.scenarios.rule_table.share_kinds import ShareKind
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.rule_table.share_kinds import ShareKind
 
 if TYPE_CHECKING:
     from concord.topology.weights import Weights

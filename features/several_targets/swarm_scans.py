@@ -33,6 +33,7 @@ from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec, labelled_bytes, least_limit
 from concord.scenarios.filter_table.filters import build_filter
+from concord.scenarios.node_context import Beginning
 from concord.scenarios.rule_table.labelled import (
     check_labelled,
     choice_of,
@@ -42,7 +43,6 @@ from concord.scenarios.rule_table.labelled import (
     window_of,
     without_arrays,
 )
-from concord.scenarios.node_context import Beginning
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import NetworkWiring
 from concord.scenarios.setup import Setup

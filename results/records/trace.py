@@ -15,8 +15,8 @@ from concord.results.records.extras import RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_table.bus_definition import frame_format
-from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.preparation import with_settings
+from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding
 

@@ -1,7 +1,5 @@
 """FlexRay as the bus of a scenario: its cluster, its channels, and written slot tables."""
 
-from pathlib import Path
-
 import msgspec
 
 from concord.bus.bus import Bus
@@ -10,22 +8,12 @@ from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import flexray_bus
-from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
+from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, named_cluster
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
-from concord.topology.names import unknown_name
-
-FITTED = "fitted"
-# The same with every frame on both channels.
-REDUNDANT = "fitted-ab"
-
-
-def cluster_names() -> tuple[str, ...]:
-    """Return the names that --cluster accepts beside files."""
-    return (FITTED, REDUNDANT, *PRESETS)
 
 
 def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
@@ -79,24 +67,6 @@ def _cluster(chosen: FlexRay, asked: BusRequest) -> tuple[Cluster, ChannelPlan]:
     plan = channel_plan(chosen.channels, channels, name)
     fitted = _fitted(asked.schedule, asked.share_bytes, asked.classes.count, plan)
     return msgspec.structs.replace(fitted, channels=channels), plan
-
-
-def named_cluster(name: str) -> Cluster:
-    """Return the cluster of a preset or a file.
-
-    Raises:
-        ValueError: there is no such preset, or the file cannot be read.
-    """
-    if name in PRESETS:
-        return preset(name)
-    # Only here: most networks have a fitted cluster or a preset.
-    from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
-
-    path = Path(name)
-    if path.suffix not in file_endings():
-        files = [f"FILE{ending}" for ending in file_endings()]
-        raise unknown_name("cluster", name, (*cluster_names(), *files))
-    return read_cluster_file(path)
 
 
 def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPlan) -> Cluster:

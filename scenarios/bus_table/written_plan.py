@@ -12,7 +12,7 @@ from concord.bus.flexray.slot_file import read_slot_file
 from concord.bus.flexray.written_slots import written_bus, written_schedule
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_table.bus_definition import BusRequest
-from concord.scenarios.bus_table.flexray_plan import FITTED, REDUNDANT, named_cluster
+from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, named_cluster
 from concord.scenarios.types.buses import ALL_CHANNELS, FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule
 

@@ -13,6 +13,7 @@ from concord.nodes.rules.labelled.frame import LabelledFrameCodec
 from concord.nodes.rules.labelled.smoothing import SmoothingFlooding
 from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
+from concord.scenarios.node_context import BatchContext, Everybody, NodeContext
 from concord.scenarios.rule_table.labelled import (
     check_labelled,
     choice_of,
@@ -22,7 +23,6 @@ from concord.scenarios.rule_table.labelled import (
     largest_share,
     without_arrays,
 )
-from concord.scenarios.node_context import BatchContext, Everybody, NodeContext
 from concord.scenarios.rule_table.rule import Rule
 
 

@@ -10,9 +10,9 @@ from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.rules.local_filter import Model
 from concord.scenarios.node_context import BatchContext, NodeContext
+from concord.scenarios.rule_table.share_kinds import BELIEFS, ShareKind
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.rule_table.share_kinds import BELIEFS, ShareKind
 
 if TYPE_CHECKING:
     from concord.nodes.lanes.network import BatchedRule

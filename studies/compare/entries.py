@@ -21,7 +21,7 @@ from concord.topology.names import unknown_name
 DATA_MISSING = "it replays recorded data: name the folder of a MRCLAM data set with --data"
 
 
-class Entry(NamedTuple):
+class ComparedEntry(NamedTuple):
     """A rule on a case; `reason` says why it cannot run there, and is empty where it can.
 
     `rule` is its name in tables.
@@ -81,7 +81,9 @@ def own_rules(names: Sequence[str]) -> dict[str, str]:
     return {name: name for name in names}
 
 
-def entries_of(cases: Sequence[Case], own: Mapping[str, str], data: str | None) -> list[Entry]:
+def entries_of(
+    cases: Sequence[Case], own: Mapping[str, str], data: str | None
+) -> list[ComparedEntry]:
     """Return each rule on each case, case by case; `own` are sources of rules by name.
 
     Raises:
@@ -93,7 +95,7 @@ def entries_of(cases: Sequence[Case], own: Mapping[str, str], data: str | None) 
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
 
 
-def check_together(entries: Sequence[Entry], workers: int) -> None:
+def check_together(entries: Sequence[ComparedEntry], workers: int) -> None:
     """Refuse a comparison whose entries do not fit into the memory of so many workers at once.
 
     Raises:
@@ -108,12 +110,12 @@ def check_together(entries: Sequence[Entry], workers: int) -> None:
     check_workers(needs, workers)
 
 
-def _entry(case: Case, name: str, source: str, data: str | None) -> Entry:
+def _entry(case: Case, name: str, source: str, data: str | None) -> ComparedEntry:
     options = {**case.options, "rule": source}
     if case.recorded:
         if data is None:
-            return Entry(case, name, None, DATA_MISSING)
+            return ComparedEntry(case, name, None, DATA_MISSING)
         options["data"] = data
     specification = specify(options, runs=case.runs)
     _, bad = sorted_out(cells_of(specification))
-    return Entry(case, name, specification, str(bad[0][1]) if bad else "")
+    return ComparedEntry(case, name, specification, str(bad[0][1]) if bad else "")

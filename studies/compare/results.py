@@ -10,7 +10,7 @@ from concord.results.figures.figure_table import FIGURES
 from concord.results.figures.intervals import Interval, positive_mean_t, ratio_t
 from concord.results.folder import provenance
 from concord.scenarios.catalogue import definition_named
-from concord.studies.compare.entries import Entry
+from concord.studies.compare.entries import ComparedEntry
 from concord.studies.compare.run import TAKEN, Figures
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class ComparisonFigures(msgspec.Struct, frozen=True):
     commit: str
 
 
-def assemble(entries: Sequence[Entry], figures: Mapping[int, Figures]) -> "xarray.Dataset":
+def assemble(entries: Sequence[ComparedEntry], figures: Mapping[int, Figures]) -> "xarray.Dataset":
     """Return the data set (case, rule, run) of a comparison; NaN where a rule has no figures."""
     import xarray
 

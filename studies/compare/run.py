@@ -9,7 +9,7 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.types.rules import UserRule
-from concord.studies.compare.entries import Entry
+from concord.studies.compare.entries import ComparedEntry
 from concord.studies.compare.node_time import node_update_us
 from concord.studies.sweep.pieces import compute, joined, pieces_of
 from concord.studies.sweep.specification import Specification, cells_of
@@ -22,7 +22,7 @@ TAKEN = ("rmse", "rmse_centralised", "anees", "coverage", "bytes_per_step")
 Figures = dict[str, np.ndarray]
 
 
-def kept_before(entries: Sequence[Entry], folder: Path | None) -> dict[int, Figures]:
+def kept_before(entries: Sequence[ComparedEntry], folder: Path | None) -> dict[int, Figures]:
     """Return the figures of entries that an earlier comparison has kept, by place."""
     if folder is None:
         return {}
@@ -35,12 +35,12 @@ def kept_before(entries: Sequence[Entry], folder: Path | None) -> dict[int, Figu
 
 
 def compute_missing(
-    entries: Sequence[Entry],
+    entries: Sequence[ComparedEntry],
     done: dict[int, Figures],
     folder: Path | None,
     engine: Engine,
     on_runs: Callable[[int], None],
-) -> tuple[list[Entry], dict[int, Figures]]:
+) -> tuple[list[ComparedEntry], dict[int, Figures]]:
     """Return the entries and their figures by place, computed where they are not done.
 
     An own rule that fails in a run gets the reason. `on_runs` is called with the number of runs

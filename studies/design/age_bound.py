@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from concord.bus.contended_bus import ContendedBus
 from concord.bus.information_age import worst_age_steps, worst_contended_age_steps
 from concord.scenarios.build import build_bus
-from concord.scenarios.rule_table.labelled import flooding_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rule_table.labelled import flooding_of
 from concord.scenarios.scenario import lossy_links
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import FloodingRule

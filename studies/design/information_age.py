@@ -10,8 +10,8 @@ from concord.results.figures.run_figures import kept
 from concord.results.records.histories import Histories
 from concord.results.records.record_spread import RecordSpread, in_time, record_ages
 from concord.scenarios.build import build_bus
-from concord.scenarios.rule_table.labelled import window_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rule_table.labelled import window_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import withdraws

@@ -25,8 +25,8 @@ from concord.runtime.batched.memory import keep_freed_memory
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
-from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding

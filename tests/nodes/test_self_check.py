@@ -20,9 +20,9 @@ from concord.nodes.rules.labelled.window_filter import Windows
 from concord.results.records.histories import Histories
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
-from concord.scenarios.rule_table import estimators
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rule_table import estimators
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.simulate import simulate

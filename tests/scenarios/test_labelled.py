@@ -20,8 +20,14 @@ from concord.scenarios.baselines import centralised, centralised_of_runs
 from concord.scenarios.build import build_bus, build_node
 from concord.scenarios.bus_table.bus_plan import build_schedule
 from concord.scenarios.catalogue import definition_named
-from concord.scenarios.rule_table.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.rule_table.labelled import (
+    check_labelled,
+    digest_of,
+    gates_of,
+    latency_steps,
+    window_of,
+)
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup

@@ -10,10 +10,10 @@ from msgspec import structs
 from concord.bus.flexray.share_frames import payload_lengths
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
-from concord.scenarios.rule_table import rules
 from concord.scenarios.build import build_node
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.rule_table import rules
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types import rules as rule_types

@@ -23,7 +23,7 @@ from concord.features.flexray_tools.commands.rehearsal import (
 from concord.results.bus.bus_report import BusFigures, bus_figures
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_plan import build_schedule
-from concord.scenarios.bus_table.flexray_plan import FITTED
+from concord.scenarios.bus_table.clusters import FITTED
 from concord.scenarios.preparation import share_bytes
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import in_options

@@ -25,7 +25,7 @@ from concord.features.flexray_tools.timeline import timeline
 from concord.results.bus import bus_report
 from concord.results.bus.bus_report import timetable
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_table.flexray_plan import FITTED
+from concord.scenarios.bus_table.clusters import FITTED
 from concord.scenarios.preparation import prepare
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.rules import number_of

@@ -24,7 +24,7 @@ SLOT_FIELDS_WITHOUT_ELEMENT = ("period_us", "offset_us", "deadline_us")
 _NODE = re.compile(r"node_(\d+)")
 
 
-class Parameter(NamedTuple):
+class ExchangedParameter(NamedTuple):
     """A field of a cluster, and the element that holds it in each format.
 
     Attributes:
@@ -44,44 +44,44 @@ class Parameter(NamedTuple):
 
 _CLOCKS, _NODE_PART = "clocks", "controller"
 PARAMETERS = (
-    Parameter("action_point_macroticks", "ACTION-POINT-OFFSET"),
-    Parameter("dynamic_slot_idle_phase_minislots", "DYNAMIC-SLOT-IDLE-PHASE"),
-    Parameter("minislot_macroticks", "MINISLOT", "MINISLOT-DURATION"),
-    Parameter("minislot_action_point_macroticks", "MINISLOT-ACTION-POINT-OFFSET"),
-    Parameter("network_idle_time_macroticks", "N-I-T", "NETWORK-IDLE-TIME"),
-    Parameter("static_slot_macroticks", "STATIC-SLOT", "STATIC-SLOT-DURATION"),
-    Parameter("symbol_window_macroticks", "SYMBOL-WINDOW"),
-    Parameter(
+    ExchangedParameter("action_point_macroticks", "ACTION-POINT-OFFSET"),
+    ExchangedParameter("dynamic_slot_idle_phase_minislots", "DYNAMIC-SLOT-IDLE-PHASE"),
+    ExchangedParameter("minislot_macroticks", "MINISLOT", "MINISLOT-DURATION"),
+    ExchangedParameter("minislot_action_point_macroticks", "MINISLOT-ACTION-POINT-OFFSET"),
+    ExchangedParameter("network_idle_time_macroticks", "N-I-T", "NETWORK-IDLE-TIME"),
+    ExchangedParameter("static_slot_macroticks", "STATIC-SLOT", "STATIC-SLOT-DURATION"),
+    ExchangedParameter("symbol_window_macroticks", "SYMBOL-WINDOW"),
+    ExchangedParameter(
         "transmission_start_bits", "T-S-S-TRANSMITTER", "TRANSMISSION-START-SEQUENCE-DURATION"
     ),
-    Parameter("macroticks_per_cycle", "MACRO-PER-CYCLE"),
-    Parameter("macrotick_us", "MACROTICK", "MACROTICK-DURATION", float),
-    Parameter("minislots", "NUMBER-OF-MINISLOTS"),
-    Parameter("static_slots", "NUMBER-OF-STATIC-SLOTS"),
-    Parameter("static_payload_words", "PAYLOAD-LENGTH-STATIC"),
-    Parameter("cycle_us", "CYCLE", kind=float),
-    Parameter("cold_start_attempts", "COLD-START-ATTEMPTS", part=_CLOCKS),
-    Parameter("listen_noise", "LISTEN-NOISE", part=_CLOCKS),
-    Parameter("halt_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-FATAL", part=_CLOCKS),
-    Parameter("passive_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", part=_CLOCKS),
-    Parameter("offset_correction_start_macroticks", "OFFSET-CORRECTION-START", part=_CLOCKS),
-    Parameter("sync_nodes_most", "SYNC-NODE-MAX", "SYNC-FRAME-ID-COUNT-MAX", part=_CLOCKS),
-    Parameter("drift_damping_microticks", "CLUSTER-DRIFT-DAMPING", "", part=_CLOCKS),
-    Parameter("precision_us", "", "", float, _CLOCKS),
-    Parameter("propagation_delay_us", "", "", float, _CLOCKS),
-    Parameter("offset_correction_us", "OFFSET-CORRECTION-MAX", "", float, _CLOCKS),
-    Parameter("dynamic_payload_words", "MAX-DYNAMIC-PAYLOAD-LENGTH",
+    ExchangedParameter("macroticks_per_cycle", "MACRO-PER-CYCLE"),
+    ExchangedParameter("macrotick_us", "MACROTICK", "MACROTICK-DURATION", float),
+    ExchangedParameter("minislots", "NUMBER-OF-MINISLOTS"),
+    ExchangedParameter("static_slots", "NUMBER-OF-STATIC-SLOTS"),
+    ExchangedParameter("static_payload_words", "PAYLOAD-LENGTH-STATIC"),
+    ExchangedParameter("cycle_us", "CYCLE", kind=float),
+    ExchangedParameter("cold_start_attempts", "COLD-START-ATTEMPTS", part=_CLOCKS),
+    ExchangedParameter("listen_noise", "LISTEN-NOISE", part=_CLOCKS),
+    ExchangedParameter("halt_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-FATAL", part=_CLOCKS),
+    ExchangedParameter("passive_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", part=_CLOCKS),
+    ExchangedParameter("offset_correction_start_macroticks", "OFFSET-CORRECTION-START", part=_CLOCKS),
+    ExchangedParameter("sync_nodes_most", "SYNC-NODE-MAX", "SYNC-FRAME-ID-COUNT-MAX", part=_CLOCKS),
+    ExchangedParameter("drift_damping_microticks", "CLUSTER-DRIFT-DAMPING", "", part=_CLOCKS),
+    ExchangedParameter("precision_us", "", "", float, _CLOCKS),
+    ExchangedParameter("propagation_delay_us", "", "", float, _CLOCKS),
+    ExchangedParameter("offset_correction_us", "OFFSET-CORRECTION-MAX", "", float, _CLOCKS),
+    ExchangedParameter("dynamic_payload_words", "MAX-DYNAMIC-PAYLOAD-LENGTH",
               "MAXIMUM-DYNAMIC-PAYLOAD-LENGTH", part=_NODE_PART),
-    Parameter("latest_transmission_minislot", "LATEST-TX", part=_NODE_PART, of_several=min),
-    Parameter("microticks_per_cycle", "MICRO-PER-CYCLE", part=_NODE_PART,
+    ExchangedParameter("latest_transmission_minislot", "LATEST-TX", part=_NODE_PART, of_several=min),
+    ExchangedParameter("microticks_per_cycle", "MICRO-PER-CYCLE", part=_NODE_PART,
               of_several=itemgetter(0)),
-    Parameter("microtick_us", "MICROTICK", "MICROTICK-DURATION", float, _NODE_PART, itemgetter(0)),
-    Parameter("startup_range_microticks", "ACCEPTED-STARTUP-RANGE", part=_NODE_PART),
-    Parameter("drift_damping_microticks", "", "CLUSTER-DRIFT-DAMPING", part=_NODE_PART),
-    Parameter("listen_timeout_microticks", "LISTEN-TIMEOUT", part=_NODE_PART),
-    Parameter("drift_microticks", "MAX-DRIFT", "", part=_NODE_PART),
-    Parameter("offset_correction_microticks", "OFFSET-CORRECTION-OUT", part=_NODE_PART),
-    Parameter("rate_correction_microticks", "RATE-CORRECTION-OUT", part=_NODE_PART),
+    ExchangedParameter("microtick_us", "MICROTICK", "MICROTICK-DURATION", float, _NODE_PART, itemgetter(0)),
+    ExchangedParameter("startup_range_microticks", "ACCEPTED-STARTUP-RANGE", part=_NODE_PART),
+    ExchangedParameter("drift_damping_microticks", "", "CLUSTER-DRIFT-DAMPING", part=_NODE_PART),
+    ExchangedParameter("listen_timeout_microticks", "LISTEN-TIMEOUT", part=_NODE_PART),
+    ExchangedParameter("drift_microticks", "MAX-DRIFT", "", part=_NODE_PART),
+    ExchangedParameter("offset_correction_microticks", "OFFSET-CORRECTION-OUT", part=_NODE_PART),
+    ExchangedParameter("rate_correction_microticks", "RATE-CORRECTION-OUT", part=_NODE_PART),
 )  # fmt: skip
 
 
@@ -137,16 +137,16 @@ class Format(NamedTuple):
     turn: Callable[[Element, int, str], tuple[int | None, int | None, int]]
     ecu_names: Callable[[Element], list[str]]
 
-    def tags(self, *parts: str) -> dict[str, Parameter]:
+    def tags(self, *parts: str) -> dict[str, ExchangedParameter]:
         """Return the parameters of these parts that the format has, by the names of elements."""
-        rows: dict[str, Parameter] = {}
+        rows: dict[str, ExchangedParameter] = {}
         for part in parts:
             own = [(self._tag(row), row) for row in PARAMETERS if row.part == part]
             # The schema of AUTOSAR sorts its elements by name.
             rows |= {tag: row for tag, row in (own if self.in_fibex else sorted(own)) if tag}
         return rows
 
-    def _tag(self, row: Parameter) -> str:
+    def _tag(self, row: ExchangedParameter) -> str:
         return row.fibex if self.in_fibex or row.arxml is None else row.arxml
 
     def lacking(self) -> tuple[str, ...]:
