@@ -25,8 +25,8 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import pack_upper
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.messages import Estimate, Measured, decode, encode, to_wire
+from concord.nodes.vector_codec import BeliefCodec
 from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,

@@ -16,7 +16,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from concord.runtime.batched.memory import keep_freed_memory
+from concord.studies.monte_carlo.simulate import keep_freed_memory
 
 Better = Literal["more", "less"]
 

@@ -7,7 +7,7 @@ from benchmarks.cases import turn
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, say
 from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import full_publish
-from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.vector_codec import BeliefCodec
 
 TURNS, TIMES = 20, 1_000
 

@@ -12,7 +12,7 @@ from concord.bus.schedule import Schedule
 
 
 class BidClasses(Protocol):
-    """Classes of bids: 0 is the most urgent (`concord.bus.urgency_classes`)."""
+    """Classes of bids: 0 is the most urgent (`concord.bus.arbitration`)."""
 
     @property
     def count(self) -> int:

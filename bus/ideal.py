@@ -6,13 +6,12 @@ Its frames are those of FlexRay, so that runs with and without time differ by ti
 from collections.abc import Sequence
 from math import nan
 
-from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.bus.arbitration import ARBITERS, ONE_CLASS, Arbiter
 from concord.bus.bus import SegmentTime, Transmission
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import CYCLE_COUNTS, payload_lengths
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.schedule import Schedule
-from concord.bus.urgency_classes import ONE_CLASS
 
 
 class TimelessBus(SlottedBus):

@@ -9,15 +9,15 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-from concord.bus.bus import Fragment, FrameFormat, Rejected
-from concord.bus.captured import Link
+from concord.bus.bus import Fragment, FrameFormat, Link, Rejected
 from concord.bus.fragments import (
     PREFIX_BYTES,
     Padded,
+    numbered,
     payload_sizes,
+    read_body,
     split,
 )
-from concord.bus.numbered_fragments import numbered, read_body
 
 _CYCLE = struct.Struct("<I")
 CYCLE_BYTES = _CYCLE.size

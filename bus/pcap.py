@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from concord.bus.captured import Captured, Link, file_header, timed
+from concord.bus.bus import Captured, Link, file_header, timed
 from concord.bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, inspect
 
 LINK_TYPE_FLEXRAY = 210

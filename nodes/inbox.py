@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from concord.bus.bus import Fragment, Rejected, SharePlace
 from concord.nodes.faults.links import Arrival, arrival
 from concord.nodes.faults.losses import hears
-from concord.nodes.faults.passage import Passage
+from concord.nodes.faults.retries import Passage
 from concord.nodes.faults.senders import spoofed
 from concord.nodes.messages import ShareHeard
 from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count

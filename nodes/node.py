@@ -13,14 +13,24 @@ This file never does I/O, reads a clock or draws a number, and never raises for 
 share that is late, early, repeated, missing or malformed is dropped, kept or counted here.
 """
 
-from typing import Any
+from functools import lru_cache
+from typing import Any, cast
 
+import numpy as np
 from msgspec.structs import replace
 
 from concord.bus.schedule import Schedule
+from concord.filters.linalg import pack_upper
 from concord.nodes.changes import Gone
 from concord.nodes.due_frames import cut_short, take_due
-from concord.nodes.estimates import estimate_of
+from concord.nodes.estimator import (
+    ChecksItself,
+    KeepsPast,
+    KeepsTracks,
+    KeepsZonotope,
+    SolvesProgrammes,
+    WeighsShares,
+)
 from concord.nodes.faults.active import hangs, has_lost_clock, is_silent
 from concord.nodes.faults.retries import failed_frames
 from concord.nodes.faults.senders import spoken
@@ -37,15 +47,60 @@ from concord.nodes.messages import (
     Bid,
     CutShare,
     CycleClosed,
+    Estimate,
     Grant,
     Measured,
     NodeEvent,
     NodeMessage,
     ShareHeard,
     ShareSent,
+    to_wire,
 )
 from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
 from concord.nodes.transitions import Completion, Transition
+
+# The page shows two; a weight is not computed with.
+_WEIGHT_DECIMALS = 4
+
+
+def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
+    """Return the belief of a step, and what else the node's rule knows."""
+    estimator, content = config.estimator, state.content
+    belief, ages = estimator.belief(content), estimator.ages(content)
+    generators = smoothed = smoothed_std = None
+    if _has(type(estimator), KeepsZonotope):
+        generators = cast(KeepsZonotope, estimator).generators(content)
+    if _has(type(estimator), KeepsPast):
+        smoothed, cov = cast(KeepsPast, estimator).smoothed(content)
+        smoothed_std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    checks = _has(type(estimator), ChecksItself)
+    weights = tracks = gap = None
+    if _has(type(estimator), SolvesProgrammes):
+        gap = cast(SolvesProgrammes, estimator).gap(content)
+    if _has(type(estimator), KeepsTracks):
+        tracks = cast(KeepsTracks, estimator).tracks(content)
+    if _has(type(estimator), WeighsShares):
+        weights = cast(WeighsShares, estimator).weights(content)
+    return Estimate(
+        config.index,
+        state.step,
+        to_wire(belief.mean),
+        to_wire(pack_upper(belief.cov)),
+        ages.tolist(),
+        state.counters,
+        *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
+        suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
+        absent=tuple(sorted(state.absent)),
+        weights=None if weights is None else to_wire(weights.round(_WEIGHT_DECIMALS)),
+        tracks=tracks,
+        gap=gap,
+    )
+
+
+@lru_cache
+def _has(kind: type, protocol: type) -> bool:
+    # Kept: to ask a protocol takes longer than to tell an estimate.
+    return issubclass(kind, protocol)
 
 
 def initial_state(config: NodeConfig) -> NodeState:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from concord.plants.checks import require_positive
+from concord.plants.motion import require_positive
 
 
 def oscillation_transition(

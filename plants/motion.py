@@ -5,13 +5,20 @@ the step adds. Functions of the state keep its memory layout (`numpy.empty_like`
 axis. The control is ignored: targets have a will of their own.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from concord.plants.checks import require_positive
+
+def require_positive(**values: float) -> None:
+    """Raises ValueError for the first value that is not above 0 and finite, by its name."""
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} is {value}, but must be above 0 and finite; change {name}")
+
 
 TURN_RATE = 4
 """Place of the rate of turn in the state of `CoordinatedTurn`."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from concord.plants.checks import require_positive
+from concord.plants.motion import require_positive
 from concord.plants.range_bearing import Moves
 
 ATTEMPTS = 10_000

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from concord.plants.angles import wrapped
-from concord.plants.checks import require_positive
+from concord.plants.motion import require_positive
 
 Moves = tuple[tuple[int, np.ndarray], ...]
 """Where sensors stand from a step on, in the order of the steps."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.plants.angles import wrapped
-from concord.plants.checks import require_positive
-from concord.plants.draws import Draws, GeneratorFor, standard_draws
-from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion
+from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion, require_positive
+from concord.plants.oscillator import Draws, GeneratorFor, standard_draws
 from concord.plants.range_bearing import Moves, RangeBearing
 
 

@@ -33,8 +33,7 @@ from concord.scenarios.rule_table.rules import (
     wire_number,
 )
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 from concord.scenarios.types.buses import stretch_of
 from concord.scenarios.types.schedules import trigger_of
 

@@ -9,14 +9,13 @@ from concord.bus.bus import Bus
 from concord.bus.clocks import KeepsClocks
 from concord.bus.retransmissions import retransmits
 from concord.filters.interacting_models import stacked_size
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import Equipment, Faults
+from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filter_table.filters import models_of
 from concord.scenarios.rule_table.rules import rule_of, wire_number
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import key_of
+from concord.scenarios.setup import Setup, key_of
 
 
 @runtime_checkable

@@ -13,8 +13,7 @@ import numpy as np
 from concord.nodes.faults.losses import LinkState, LinkUp, chance
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import key_of
+from concord.scenarios.setup import Setup, key_of
 from concord.topology.link_names import LinkPlan, parse_links
 from concord.topology.time_varying import bernoulli, in_range, markov, switching, wandering
 

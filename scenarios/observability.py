@@ -16,8 +16,7 @@ import numpy as np
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.local_filter import Sensor
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 
 # A direction with less information than this fraction of the best seen one is rounding.
 _RANK_TOLERANCE = 1e-13

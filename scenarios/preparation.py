@@ -26,8 +26,7 @@ from concord.scenarios.rule_table.rules import check_rule, is_set_valued, share_
 from concord.scenarios.scenario import SETTINGS, Scenario, require
 from concord.scenarios.scenario_definition import ScenarioPlant
 from concord.scenarios.script import check_script, script_of
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
 from concord.scenarios.types.plants import PlacedSensors

@@ -5,7 +5,9 @@ process anywhere builds the same node from it, and so that its digest tells whet
 agree.
 """
 
+import hashlib
 from collections.abc import Sequence
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -69,3 +71,33 @@ def _check_neighbours(graph: Sequence[Sequence[int]], nodes: int) -> None:
                 f"neighbours of node {node}: {list(heard)[:9]}; each is another node from 0 to "
                 f"{nodes - 1}, named once, in ascending order"
             )
+
+
+class Seeded(Protocol):
+    """A scenario, as far as its randomness goes."""
+
+    @property
+    def seed(self) -> int: ...
+    @property
+    def run(self) -> int: ...
+
+
+def generator(scenario: Seeded, purpose: str, node: int) -> np.random.Generator:
+    """The random stream of one purpose at one node in one run of a scenario."""
+    return np.random.default_rng(stream_of(scenario, purpose, node))
+
+
+def stream_of(scenario: Seeded, purpose: str, node: int) -> np.random.SeedSequence:
+    """The randomness of one purpose at one node in one run of a scenario."""
+    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code_of(purpose), node))
+
+
+def code_of(purpose: str) -> int:
+    """A purpose as a number of 32 bits, which does not depend on what other purposes there are."""
+    return int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
+
+
+def key_of(scenario: Seeded, purpose: str) -> tuple[int, int]:
+    """Two words of 64 bits that belong to a purpose in one run of a scenario."""
+    first, second = stream_of(scenario, purpose, 0).generate_state(2, np.uint64).tolist()
+    return first, second

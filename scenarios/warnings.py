@@ -13,8 +13,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rule_table.labelled import digest_of, latency_steps, window_of
 from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import lossy_links
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 from concord.scenarios.types.holds import Decayed, Raw
 from concord.scenarios.types.rules import (
     DiffusionRule,
@@ -33,8 +32,7 @@ from concord.scenarios.types.schedules import (
     occupancy_of,
     trigger_of,
 )
-from concord.topology.analysis import rounds_to
-from concord.topology.robustness import is_robust
+from concord.topology.analysis import is_robust, rounds_to
 from concord.topology.spectrum import second_eigenvalue_modulus, vote_of
 from concord.topology.weights import Weights, from_per_node
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 from concord.scenarios.types.assignment import check_ranges
 
 # So many steps of nodes fit anywhere; the plant need not be built for an estimate.

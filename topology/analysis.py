@@ -1,17 +1,59 @@
 """Properties of a graph and its weights: connection, weak points, speed of agreement."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import networkx
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, shortest_path
 
 from concord.topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
-from concord.topology.diameter import diameter_bounds
 from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
+
+# So many searches at a time, for the sake of memory.
+_TOGETHER = 32
+# Links and nodes that all searches together may look at; some ten seconds.
+_BUDGET = 1e9
+
+
+def diameter_bounds(adjacency: Adjacency, searches: int | None = None) -> tuple[int, int]:
+    """Return the least and the most that the diameter of a graph (n, n) in one piece can be.
+
+    They are equal unless so many searches, as many as some seconds pay for when left out, could not
+    tell.
+    """
+    nodes = nodes_of(adjacency)
+    directed = not is_symmetric(adjacency)
+    left = math.ceil(_BUDGET / (nodes + adjacency.nnz)) if searches is None else searches
+    # Of the eccentricity of each node: that of the farthest from it.
+    least, most = np.zeros(nodes), np.full(nodes, np.inf)
+    open_ = np.ones(nodes, dtype=bool)
+    found = 0.0
+    while left > 0 and open_.any():
+        sources = _promising(np.flatnonzero(open_), least, most)[: min(left, _TOGETHER)]
+        left -= len(sources)
+        # Rows hear columns, so these are hops against the way that messages go: no matter here.
+        away = shortest_path(adjacency, unweighted=True, indices=sources)
+        back = shortest_path(adjacency.T, unweighted=True, indices=sources) if directed else away
+        eccentricity = away.max(axis=1, keepdims=True)
+        found = max(found, float(eccentricity.max()))
+        least = np.maximum(least, np.maximum(back, eccentricity - away).max(axis=0))
+        most = np.minimum(most, (eccentricity + back).min(axis=0))
+        open_[sources] = False
+        found = max(found, float(least.max()))
+        open_ &= most > found
+    return int(found), int(max(most[open_].max(initial=found), found))
+
+
+def _promising(open_: np.ndarray, least: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Nodes to search from: in turn one that may be far from others, and one that is near all."""
+    far = open_[np.argsort(-most[open_], kind="stable")]
+    near = open_[np.argsort(least[open_], kind="stable")]
+    both = np.stack((far, near), axis=1).ravel()
+    _, first = np.unique(both, return_index=True)
+    return both[np.sort(first)]
 
 
 @dataclass(frozen=True)
@@ -155,3 +197,43 @@ def rounds_to(disagreement: float, factor: float) -> int | None:
 def _abbreviated(part: tuple[int, ...]) -> str:
     shown = ", ".join(map(str, part[:12]))
     return f"nodes {shown}, ... ({len(part)})" if len(part) > 12 else f"nodes {shown}"
+
+
+# All sets of so many nodes are looked at; deciding it is as hard as that.
+EXACT_NODES = 16
+
+
+def is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool | None:
+    """Return whether a graph is `reach`-robust, whose nodes hear these; None where it is not known.
+
+    It is known for up to `EXACT_NODES` nodes, for degrees of half of the nodes and more, and where
+    a node hears too few.
+    """
+    nodes = len(neighbours)
+    least = min((len(heard) for heard in neighbours), default=0)
+    if reach <= 0 or nodes <= 1:
+        return reach <= 0
+    if reach > (nodes + 1) // 2 or (reach > 1 and least < reach):
+        return False
+    if least >= nodes // 2 + reach - 1:
+        return True
+    return _is_robust(neighbours, reach) if nodes <= EXACT_NODES else None
+
+
+def _is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool:
+    """Check all sets of nodes; each set is a number whose bits mark its nodes."""
+    nodes = len(neighbours)
+    sets = np.arange(1 << nodes, dtype=np.uint32)
+    shut = sets > 0
+    for node, heard in enumerate(neighbours):
+        mask = np.uint32(sum(1 << neighbour for neighbour in heard))
+        inside = (sets >> np.uint32(node)) & 1
+        outside = np.bitwise_count(mask & ~sets)
+        shut &= (inside == 0) | (outside < reach)
+    # Whether a set or a part of it is shut: one node more at a time.
+    holds_shut = shut.copy().reshape((2,) * nodes)
+    for axis in range(nodes):
+        without, with_node = np.take(holds_shut, 0, axis), np.take(holds_shut, 1, axis)
+        holds_shut = np.stack((without, without | with_node), axis=axis)
+    rest = sets ^ np.uint32((1 << nodes) - 1)
+    return not (shut & holds_shut.reshape(-1)[rest]).any()

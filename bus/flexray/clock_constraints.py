@@ -6,10 +6,22 @@ Ranges: FlexRay 3.0.1, appendix B, as vectorgrp/sil-kit cites them; the drift da
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
-from concord.bus.flexray.clock_parameters import ClockParameters
-from concord.bus.flexray.cluster_parameters import CLOCK_DEVIATION, ClusterParameters
-from concord.bus.flexray.parameter import Parameter
+from concord.bus.flexray.cluster_parameters import (
+    CLOCK_DEVIATION,
+    ClockParameters,
+    ClusterParameters,
+)
+
+
+class Parameter(NamedTuple):
+    """A parameter's name in the specification, and its range (both ends belong to it)."""
+
+    standard_name: str
+    low: int
+    high: int
+
 
 CLOCK_PARAMETERS: dict[str, Parameter] = {
     "sync_nodes_most": Parameter("gSyncFrameIDCountMax", 2, 15),

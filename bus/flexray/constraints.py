@@ -7,9 +7,12 @@ constraints: 2.1). A violation is one sentence: the rule, both sides with their 
 from collections.abc import Iterator
 from decimal import Decimal
 
-from concord.bus.flexray.clock_constraints import clock_range_violations, clock_violations
+from concord.bus.flexray.clock_constraints import (
+    Parameter,
+    clock_range_violations,
+    clock_violations,
+)
 from concord.bus.flexray.cluster_parameters import ClusterParameters
-from concord.bus.flexray.parameter import Parameter
 
 PARAMETERS: dict[str, Parameter] = {
     "cycle_us": Parameter("gdCycle", 10, 16000),

@@ -8,7 +8,7 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.arbitration import Arbiter, Fits
+from concord.bus.arbitration import ONE_CLASS, Arbiter, Fits, UrgencyClasses
 from concord.bus.bus import SegmentTime, Transmission
 from concord.bus.clocks import ClockDrift, ClockErrors, SyncOutage
 from concord.bus.flexray.channels.counters import SlotCounters
@@ -30,7 +30,6 @@ from concord.bus.flexray.timing import (
     static_transmissions,
 )
 from concord.bus.schedule import Schedule
-from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 
 
 class FlexRayBus(SlottedBus):

@@ -29,8 +29,7 @@ from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
 from concord.bus.flexray.publication import Slot
 from concord.bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
-from concord.bus.fragments import payload_sizes, split
-from concord.bus.numbered_fragments import numbered, read_body
+from concord.bus.fragments import numbered, payload_sizes, read_body, split
 from concord.bus.pcap import FLEXRAY_LINK
 
 CYCLE_COUNTS = 64

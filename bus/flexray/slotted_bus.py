@@ -12,6 +12,7 @@ from concord.bus.arbitration import (
     ArbiterState,
     Fits,
     LosingBids,
+    UrgencyClasses,
     award,
     largest_bid,
     unclassed,
@@ -30,10 +31,9 @@ from concord.bus.flexray.share_frames import (
     to_frames,
     whole_body,
 )
-from concord.bus.numbered_fragments import numbered
+from concord.bus.fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
-from concord.bus.urgency_classes import UrgencyClasses
 
 Slots = Callable[[int, int], tuple[tuple[Slot, ...], ...]]
 """(node, cycle) -> for each urgency class the slots of the node's share in that cycle; one class

@@ -13,10 +13,39 @@ from concord.dashboard.panels.commands import Commands, Tell
 from concord.dashboard.panels.network_controls import NetworkControls
 from concord.dashboard.panels.node_controls import NodeControls
 from concord.dashboard.panels.view_controls import ViewControls
-from concord.dashboard.seeking.loop_buttons import LoopButtons
 from concord.dashboard.seeking.run_until import RunUntil
 from concord.dashboard.theme import QUIET_BUTTON
 from concord.dashboard.view import View
+
+_FROM, _TO, _OFF = "from", "to", "off"
+
+
+class LoopButtons:
+    """Begin a loop at the shown step, end it there, or end the looping."""
+
+    def __init__(self, gui: viser.GuiApi, inputs: Inputs, history: FrameHistory) -> None:
+        self._inputs, self._history = inputs, history
+        self.group: Any = gui.add_button_group("Loop", (_FROM, _TO, _OFF))
+        self.group.on_click(at_once(lambda _: self.press(self.group.value)))
+
+    def press(self, button: str) -> None:
+        """Do what a button says."""
+        self._inputs.alter(lambda view: self._take(view, button))
+
+    def begin(self, _: Any = None) -> None:
+        """Let the loop begin at the shown step."""
+        self.press(_FROM)
+
+    def end(self, _: Any = None) -> None:
+        """Let the loop end at the shown step."""
+        self.press(_TO)
+
+    def _take(self, view: View, button: str) -> None:
+        if button == _OFF:
+            view.loop = None
+        else:
+            view.loop_here(button == _FROM, self._history.first_step, self._history.last_step)
+
 
 _MOST_STEPS_PER_S, _MOST_SPEED = 100, 16.0
 _SPEED_HINT = "1 is as fast as the plant"

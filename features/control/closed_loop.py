@@ -4,8 +4,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from concord.plants.draws import Draws
 from concord.plants.linear import LinearPlant
+from concord.plants.oscillator import Draws
 
 
 class Controller(Protocol):

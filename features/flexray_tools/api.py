@@ -7,7 +7,7 @@
 docs/flexray_toolbox.md has a how-to for each task.
 """
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.cluster_files import (
     cluster_from_toml,
@@ -47,8 +47,8 @@ from concord.features.flexray_tools.recordings.fit import fit as fit_recording
 from concord.features.flexray_tools.recordings.recorded_cluster import (
     RecordedCluster,
     recorded_cluster,
+    recorded_slots,
 )
-from concord.features.flexray_tools.recordings.recorded_slots import recorded_slots
 from concord.features.flexray_tools.recordings.recording_files import read_recording
 from concord.features.flexray_tools.recordings.transmitted import transmitted
 from concord.features.flexray_tools.recordings.waveform import (

@@ -27,8 +27,7 @@ from concord.features.sets.set_receivers import (
 )
 from concord.features.sets.set_shapes import Ellipsoids
 from concord.filters.gaussian import Gaussian
-from concord.filters.lanes import join_entries
-from concord.filters.linalg import multiply
+from concord.filters.linalg import join_entries, multiply
 
 
 class ReceivedCycle(NamedTuple):

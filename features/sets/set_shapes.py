@@ -17,9 +17,9 @@ from concord.features.sets.filters.rounding import rounding_bound
 from concord.features.sets.filters.zonotope import Zonotope
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.rules.lane_rule import mapped
 from concord.nodes.share_forms import MEAN_ERROR, TwoByteBelief
+from concord.nodes.vector_codec import belief_numbers, belief_of
 
 HeldSet = TypeVar("HeldSet")
 _UNITS = {"<f8": 0.0, "<f4": 2.0**-24, "<u2": 0.0}

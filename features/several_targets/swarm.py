@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.plants.checks import require_positive
-from concord.plants.draws import GeneratorFor
-from concord.plants.motion import CoordinatedTurn
+from concord.plants.motion import CoordinatedTurn, require_positive
+from concord.plants.oscillator import GeneratorFor
 
 MANOEUVRE_EVERY_STEPS = 20
 FASTEST_TURN_RAD_S = 0.1

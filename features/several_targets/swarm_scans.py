@@ -26,12 +26,12 @@ from concord.features.several_targets.swarm_tracking import (
 )
 from concord.features.several_targets.tracking.tracker import Tracked, track
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import Links
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec, labelled_bytes, least_limit
+from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.node_context import Beginning
 from concord.scenarios.rule_table.labelled import (

@@ -11,8 +11,8 @@ from concord.features.several_targets.scan_codec import ScanCodec
 from concord.features.several_targets.tracking.track_fusion import LookedAt
 from concord.features.several_targets.tracking.tracks import Tracks
 from concord.filters.linalg import cholesky
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.share_forms import TwoByteBelief
+from concord.nodes.vector_codec import belief_numbers, belief_of
 
 _COUNT_BYTES = 1
 # In the place of the number of detections, of which a scan has fewer.

@@ -12,6 +12,7 @@ belief without prediction estimates an older state, and every rule then loses co
 
 import numpy as np
 
+from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 
 
@@ -129,3 +130,18 @@ def _left_to_self(worth: np.ndarray) -> np.ndarray:
 def _normalise(worth: np.ndarray) -> np.ndarray:
     worth = _left_to_self(worth)
     return worth / worth.sum(axis=-1, keepdims=True)
+
+
+def keep_own(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
+    """The node's own belief, the first of mean (..., J, n) and cov (..., J, n, n), bit for bit.
+
+    Promises: consistent whenever the node's filter is, for nothing correlated is ever fused.
+
+    Fails: a node that does not observe the plant by itself drifts with it; on an unstable plant
+    without bound.
+
+    Args:
+        beliefs: of the node and its neighbours.
+        weights: not used; the rules that fuse take them.
+    """
+    return Gaussian(beliefs.mean[..., 0, :], beliefs.cov[..., 0, :, :])

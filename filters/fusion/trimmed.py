@@ -42,7 +42,7 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
     does not come through at full strength, so blind nodes next to one that sees learn less. The
     errors decide which beliefs are dropped, so consistency is not proved as it is for
     `covariance_intersection`; the caps work the other way. That honest nodes of a network agree is
-    proved for scalars, on graphs that are (2 F + 1)-robust (`concord.topology.robustness`).
+    proved for scalars, on graphs that are (2 F + 1)-robust (`concord.topology.analysis`).
 
     Sources: LeBlanc, Zhang, Koutsoukos and Sundaram (2013), Resilient asymptotic consensus in
     robust networks, IEEE Journal on Selected Areas in Communications 31(4). That paper gives the

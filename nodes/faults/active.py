@@ -11,10 +11,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from concord.bus.clocks import ClockDrift, ClockErrors, SyncOutage
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.changes import Fault, Standing
 from concord.nodes.faults.losses import fraction
 from concord.nodes.faults.vocabulary import PASSING
+from concord.nodes.vector_codec import BeliefCodec
 
 # In the place of a receiver: the fault strikes a frame before any node hears it.
 EVERYBODY = (1 << 16) + 1

@@ -9,9 +9,13 @@ from typing import NamedTuple
 
 from concord.bus.bus import Bus
 from concord.nodes.faults.active import EVERYBODY, Faults, hangs
-from concord.nodes.faults.collisions import collides
-from concord.nodes.faults.passage import Passage
-from concord.nodes.faults.retries import failed_tries, is_given_up, without_errors
+from concord.nodes.faults.retries import (
+    Passage,
+    collides,
+    failed_tries,
+    is_given_up,
+    without_errors,
+)
 from concord.nodes.faults.senders import sent
 
 

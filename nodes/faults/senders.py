@@ -4,9 +4,8 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import EVERYBODY, Faults
-from concord.nodes.vector_codec import not_numbers
+from concord.nodes.vector_codec import BeliefCodec, not_numbers
 
 # A bit of the checksum that a broken controller turns over.
 _LAST_BIT = 1

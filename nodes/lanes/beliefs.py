@@ -15,7 +15,6 @@ import numpy as np
 from concord.filters.filter import begun, moments
 from concord.filters.fusion.averaging import INFORMATION, Averaging
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.lanes.filter import (
     Counters,
     LastPublished,
@@ -30,7 +29,7 @@ from concord.nodes.lanes.links import Links, Shares, unheard
 from concord.nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
 from concord.nodes.rules.belief_consensus import HoldPolicy
 from concord.nodes.rules.local_filter import Memory, finite_lanes, predict_to_step, where
-from concord.nodes.vector_codec import VectorCodec
+from concord.nodes.vector_codec import VectorCodec, belief_numbers, belief_of
 
 
 class Numbers(NamedTuple):

@@ -10,6 +10,7 @@ from concord.nodes.lanes.labelled import BatchedFlooding, BatchedLabelledContent
 from concord.nodes.lanes.labelled_shares import Came, Shared
 from concord.nodes.rules.labelled.record_sets import RecordSets
 from concord.nodes.rules.labelled.self_check import ASKING, is_suspect, trusting
+from concord.nodes.rules.labelled.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)
@@ -88,3 +89,15 @@ class BatchedSelfChecked(BatchedFlooding):
 
 def _asking(content: BatchedLabelledContent) -> np.ndarray:
     return is_suspect(content.windows, ASKING)
+
+
+@dataclass(frozen=True)
+class BatchedSmoothing(BatchedSelfChecked):
+    """`BatchedSelfChecked` with the smoothed states of the last `smooth_steps` steps."""
+
+    smooth_steps: int = 0
+
+    def smoothed(self, content: BatchedLabelledContent) -> Gaussian:
+        """States of 0, 1, ... steps ago given all records: mean (R, N, L, n), cov (R, N, L, n, n);
+        NaN before the window's first step."""
+        return smoothed_past(self.filter, content.windows, self.smooth_steps)

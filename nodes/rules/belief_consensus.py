@@ -13,7 +13,6 @@ import numpy as np
 
 from concord.filters.fusion.averaging import Averaged, Directly
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.rules.lane_rule import (
     Failures,
     LaneContent,
@@ -24,6 +23,7 @@ from concord.nodes.rules.lane_rule import (
     older,
 )
 from concord.nodes.rules.local_filter import finite, finite_lanes, where
+from concord.nodes.vector_codec import belief_numbers, belief_of
 
 _ALIKE = np.ones(1)
 

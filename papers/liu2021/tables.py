@@ -14,7 +14,7 @@ from concord.features.sets import liu2021_plant as liu2021
 from concord.features.sets.delivered import delivered
 from concord.features.sets.filters.bus_readings import augmented
 from concord.features.sets.filters.ellipsoid import Ellipsoid, squared
-from concord.filters.lanes import join_columns
+from concord.filters.linalg import join_columns
 from concord.papers.liu2021.runs import BUS, HELD, PLANT, G, N, printed_step
 
 WINNER_OF_TABLES = 1

@@ -7,7 +7,7 @@ from concord.features.measurement_bus import meng2025_plant as meng2025
 from concord.features.measurement_bus.meng2025 import DEFINITION, SYSTEM
 from concord.filters.particle import Particles, cov, mean, resample
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 
 PARTICLES = 2000
 # So many runs at a time: their particles fit into the cache.

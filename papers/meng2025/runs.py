@@ -37,7 +37,7 @@ from concord.papers.meng2025.filter_as_printed import (
     pseudo_inverse,
     update,
 )
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)

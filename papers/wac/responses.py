@@ -21,7 +21,6 @@ from concord.filters.fusion.averaging import MOMENTS
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.lanes.beliefs import BatchedBeliefs
 from concord.nodes.lanes.links import Shares, links_of
 from concord.nodes.rules.belief_consensus import HoldPolicy
@@ -31,8 +30,9 @@ from concord.nodes.rules.local_filter import (
     predict_to_step,
     update_with_readings,
 )
-from concord.plants.draws import Draws, standard_draws
+from concord.nodes.vector_codec import BeliefCodec
 from concord.plants.linear import LinearPlant, LinearSensor, Signal
+from concord.plants.oscillator import Draws, standard_draws
 from concord.studies.progress import progress
 from concord.topology.adjacency import neighbours_of
 from concord.topology.graphs import ring

@@ -18,17 +18,20 @@ from typing import NamedTuple
 
 import msgspec
 
-from concord.bus.bus import Bus, FrameFormat, Rejected, Transmission
-from concord.bus.captured import Captured
+from concord.bus.bus import Bus, Captured, FrameFormat, Rejected, Transmission
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import FrameError
 from concord.bus.retransmissions import Retransmits, retransmits
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
 from concord.nodes.faults.active import Faults, sends_nothing
-from concord.nodes.faults.collisions import collides
 from concord.nodes.faults.links import carries
-from concord.nodes.faults.passage import Passage
-from concord.nodes.faults.retries import failed_tries, is_given_up, without_errors
+from concord.nodes.faults.retries import (
+    Passage,
+    collides,
+    failed_tries,
+    is_given_up,
+    without_errors,
+)
 from concord.nodes.faults.senders import sent
 from concord.results.bus.bus_report import timetable
 from concord.results.records.trace import Trace

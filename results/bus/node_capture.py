@@ -7,7 +7,7 @@ the recording by the draws that the node made.
 
 from collections.abc import Iterator
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.nodes.faults.links import arrival, carries
 from concord.nodes.faults.losses import LinkState, hears
 from concord.nodes.faults.retries import without_errors

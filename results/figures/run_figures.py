@@ -4,6 +4,7 @@ Runs are the only thing here that is independent, so nothing is averaged over th
 interval needs them one by one.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,6 @@ from scipy.special import chdtri
 
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known
-from concord.results.figures.energy import energy_per_bit_nj
 from concord.results.figures.figure_table import OF_FEATURES
 from concord.results.figures.network_errors import (
     NetworkErrors,
@@ -29,6 +29,29 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
+
+ELECTRONICS_NJ_PER_BIT = 50.0
+AMPLIFIER_NJ_PER_BIT_M2 = 0.1
+
+
+def energy_per_bit_nj(
+    neighbours: Sequence[Sequence[int]], positions_m: np.ndarray | None
+) -> np.ndarray:
+    """Per node (N,), what a bit of its costs sender and hearers together, in nJ.
+
+    `neighbours` says whom each node hears; `positions_m` (N, 2), or None for a wire.
+    """
+    nodes = len(neighbours)
+    hearers = np.zeros(nodes)
+    reach_m = np.zeros(nodes)
+    for node, heard in enumerate(neighbours):
+        for sender in heard:
+            hearers[sender] += 1
+            if positions_m is not None:
+                distance_m = float(np.linalg.norm(positions_m[node] - positions_m[sender]))
+                reach_m[sender] = max(reach_m[sender], distance_m)
+    return ELECTRONICS_NJ_PER_BIT * (1 + hearers) + AMPLIFIER_NJ_PER_BIT_M2 * reach_m**2
+
 
 COVERED = 0.95
 

@@ -1,4 +1,4 @@
-"""The random streams of many runs at once; each is that of `concord.scenarios.streams.generator`.
+"""The random streams of many runs at once; each is that of `concord.scenarios.setup.generator`.
 
 To seed a stream takes four times as long as to draw two hundred numbers from it. The node, the last
 word of a stream's key, is therefore mixed in for all nodes of all runs at once, by the arithmetic
@@ -16,7 +16,7 @@ from numpy.random import PCG64, Generator, SeedSequence
 from numpy.random.bit_generator import ISeedSequence
 
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.streams import code_of
+from concord.scenarios.setup import code_of
 
 # Words of 32 bits: in a seed sequence, and in what a generator begins with.
 _POOL, _STATE = 4, 8

@@ -70,10 +70,9 @@ def be_environment(
     Orders to the launcher process go to the pipe `orders`; it reports ends of nodes by `ends`.
     """
     # Only here, after the fork: no node needs the environment.
-    from concord.runtime.processes.environment.failures import Deserted, Disagreement
-    from concord.runtime.processes.environment.management import Management
+    from concord.runtime.processes.environment.decisions import Deserted, Disagreement
     from concord.runtime.processes.environment.pacing import Lockstep, RealTime
-    from concord.runtime.processes.environment.process import run_environment
+    from concord.runtime.processes.environment.process import Management, run_environment
     from concord.scenarios.build import build_environment
 
     started, told = time.monotonic(), 0.0

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.bus.arbitration import ARBITERS, Arbiter, UrgencyClasses
 from concord.bus.bus import Bus, FrameFormat
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import Schedule
-from concord.bus.urgency_classes import UrgencyClasses
 from concord.entries import chosen as chosen_entry
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import SharedBus, UserBus

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from concord.bus.arbitration import ARBITERS
+from concord.bus.arbitration import ARBITERS, ONE_CLASS, UrgencyClasses
 from concord.bus.bus import Bus
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import (
@@ -15,7 +15,6 @@ from concord.bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.nodes.bids import BIDS_FOR_CHANGE
 from concord.scenarios.bus_table.bus_definition import BusRequest, bus_definition
 from concord.scenarios.catalogue import definition_of

@@ -1,4 +1,7 @@
-"""`oscillator`: a linear plant, on which every filter can be checked against the Kalman filter."""
+"""`oscillator`: a linear plant, on which every filter can be checked against the Kalman filter.
+
+Reason for a file of its own: an entry names it.
+"""
 
 from functools import cache
 

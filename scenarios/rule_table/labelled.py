@@ -7,7 +7,6 @@ from typing import cast
 import numpy as np
 
 from concord.bus.schedule import publishers_per_cycle
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.commands import Restart
 from concord.nodes.rules.labelled.frame import (
     MAX_SOURCES,
@@ -19,6 +18,7 @@ from concord.nodes.rules.labelled.frame import (
 )
 from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_codec import PACKED, reading_bytes, record_codec
+from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.filter_table.filters import learns
 from concord.scenarios.node_context import Everybody

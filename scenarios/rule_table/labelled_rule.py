@@ -4,13 +4,11 @@ from typing import Any
 
 from concord.filters.filter import Filter
 from concord.nodes.estimator import AnyEstimator
-from concord.nodes.lanes.labelled_check import BatchedSelfChecked
-from concord.nodes.lanes.labelled_past import BatchedSmoothing
+from concord.nodes.lanes.labelled_check import BatchedSelfChecked, BatchedSmoothing
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.all_sensors import AllSensors
-from concord.nodes.rules.labelled.checked import SelfCheckedFlooding
+from concord.nodes.rules.labelled.checked import SelfCheckedFlooding, SmoothingFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec
-from concord.nodes.rules.labelled.smoothing import SmoothingFlooding
 from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext

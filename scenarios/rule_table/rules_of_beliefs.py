@@ -8,7 +8,7 @@ import numpy as np
 
 from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Averaged, Averaging, Directly
-from concord.filters.fusion.local import keep_own
+from concord.filters.fusion.hold import keep_own
 from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.fusion.trimmed import trimmed_intersection
 from concord.filters.gaussian import Gaussian

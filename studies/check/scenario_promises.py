@@ -15,7 +15,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.observability import observability, rank
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 from concord.studies.check.promise import Promise, PromiseResult, raised
 from concord.studies.check.rule_promises import check_agreement
 from concord.studies.monte_carlo.simulate import simulate

@@ -7,6 +7,7 @@ Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Ru
 without an array form run message by message, one run after the other, and give the same value.
 """
 
+import ctypes
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -21,7 +22,6 @@ from concord.results.records.spread_history import SpreadHistory
 from concord.results.records.trace import Past, read_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
-from concord.runtime.batched.memory import keep_freed_memory
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
@@ -30,6 +30,27 @@ from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of mallopt(3)
+_KEPT_BYTES = 100_000_000
+
+
+def keep_freed_memory() -> bool:
+    """Let this process keep up to 100 MB of what it frees, instead of returning it page by page.
+
+    Every temporary array of numpy above 128 kB is otherwise mapped, cleared and unmapped by the
+    system, which takes longer than filling it: a batched filter step then costs two to six times as
+    much. A process that computes many lanes calls this function once.
+
+    Returns:
+        Whether the C library can be told (glibc); elsewhere nothing happens.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return False
+    return bool(mallopt(_TRIM_THRESHOLD, _KEPT_BYTES) and mallopt(_MMAP_THRESHOLD, _KEPT_BYTES))
+
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.arbitration import ARBITERS, NO_BID, begin_arbitration
+from concord.bus.arbitration import ARBITERS, NO_BID, ONE_CLASS, UrgencyClasses, begin_arbitration
 from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import AUDI
@@ -16,7 +16,6 @@ from concord.bus.ideal import TimelessBus
 from concord.bus.information_age import greatest_ages_steps, worst_contended_age_steps
 from concord.bus.longest_wait import LongestWait
 from concord.bus.schedule import Schedule, dynamic_only, hybrid
-from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from tests.bus.support import quick
 
 LEAST, MOST = 16, 16 * 2**10

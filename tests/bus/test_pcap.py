@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.captured import Captured, file_header
+from concord.bus.bus import Captured, file_header
 from concord.bus.flexray.frame import Channel, Frame, encode
 from concord.bus.pcap import (
     LINK_TYPE_FLEXRAY,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from concord.bus.arbitration import ARBITERS
+from concord.bus.arbitration import ARBITERS, ONE_CLASS
 from concord.bus.flexray.frame import Frame
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
@@ -19,7 +19,6 @@ from concord.bus.flexray.share_frames import (
 )
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.schedule import full_publish
-from concord.bus.urgency_classes import ONE_CLASS
 from concord.nodes.estimator import Rejected
 
 CYCLES = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.arbitration import ARBITERS, NO_BID, begin_arbitration
+from concord.bus.arbitration import ARBITERS, NO_BID, ONE_CLASS, UrgencyClasses, begin_arbitration
 from concord.bus.bus import Rejected
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.fitted import fitted_cluster
@@ -15,7 +15,6 @@ from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import payload_lengths, read_frame
 from concord.bus.schedule import Schedule, dynamic_only
-from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from tests.bus.support import quick
 
 LEAST, MOST = 16, 16 * 2**10

@@ -5,7 +5,7 @@ from functools import cache, cached_property
 import msgspec
 
 from concord.dashboard.frames.frame import StepFrame
-from concord.dashboard.frames.replay import assembled
+from concord.dashboard.frames.source import assembled
 from concord.dashboard.frames.stage import Stage, set_stage
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named

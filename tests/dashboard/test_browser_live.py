@@ -10,7 +10,7 @@ import pytest
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.live import LiveNetwork
-from concord.dashboard.frames.replay import replayed
+from concord.dashboard.frames.source import replayed
 from concord.dashboard.panels.network_controls import NetworkControls
 from concord.dashboard.panels.node_controls import NodeControls
 from concord.dashboard.serve import open_network

@@ -9,7 +9,7 @@ import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.app import Dashboard
-from concord.dashboard.frames.bus_cycles import BusView
+from concord.dashboard.frames.assembler import BusView
 from concord.dashboard.frames.frame import BusCycle, StepFrame
 from concord.dashboard.frames.source import SourceState
 from concord.dashboard.frames.stage import restaged

@@ -12,7 +12,7 @@ from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import LogEntry
 from concord.dashboard.frames.source import CommandAnswer, SourceState
-from concord.dashboard.panels.command_words import in_a_sentence
+from concord.dashboard.panels.commands import in_a_sentence
 from concord.dashboard.serve import open_network
 from concord.runtime.whole_steps import WholeSteps
 from tests.dashboard.runs import frames_of, run_of

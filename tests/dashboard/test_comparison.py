@@ -14,7 +14,7 @@ from concord.dashboard.comparison.ratio_table import ratio_of, ratio_table
 from concord.dashboard.frames.expected import nothing_expected
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
-from concord.dashboard.frames.replay import replayed
+from concord.dashboard.frames.source import replayed
 from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.panels.chart_table import run_charts
 from concord.dashboard.panels.charts import sampled

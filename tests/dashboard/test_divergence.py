@@ -8,8 +8,7 @@ import pytest
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import SCENE_WIDTH
 from concord.dashboard.scene.magnification import MAGNIFIED, followed_magnification
-from concord.dashboard.scene.outside import arrows, edge_of, is_outside
-from concord.dashboard.scene.plane import Plane
+from concord.dashboard.scene.plane import Plane, arrows, edge_of, is_outside
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
 from concord.filters.gaussian import Gaussian

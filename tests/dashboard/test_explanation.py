@@ -11,7 +11,7 @@ from concord.dashboard.theme import DARK
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.fusion.hold import held_weights, inverse_volume
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.vector_codec import BeliefCodec
 from tests.dashboard.runs import run_of
 
 

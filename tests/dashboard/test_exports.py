@@ -11,7 +11,7 @@ import pytest
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.dashboard.app import Dashboard
 from concord.dashboard.frames.expected import nothing_expected
-from concord.dashboard.frames.replay import replayed
+from concord.dashboard.frames.source import replayed
 from concord.dashboard.panels.chart import Curve, Drawn, Sample
 from concord.dashboard.panels.chart_export import charts_page
 from concord.dashboard.panels.chart_table import run_charts

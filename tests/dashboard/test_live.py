@@ -9,7 +9,7 @@ import pytest
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.live import LiveNetwork
-from concord.dashboard.frames.replay import replayed
+from concord.dashboard.frames.source import replayed
 from concord.dashboard.serve import open_network
 from concord.nodes.commands import in_words
 from concord.runtime.network.control_client import Client, NotThere

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from concord.dashboard.frames.replay import assembled
+from concord.dashboard.frames.source import assembled
 from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.sweeps.details import MOST_ROWS, cell_table, runs_panel
 from concord.dashboard.sweeps.scatter import axes_of, scatter

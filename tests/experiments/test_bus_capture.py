@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import decode as decode_frame

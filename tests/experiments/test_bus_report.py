@@ -7,14 +7,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from concord.bus.arbitration import ARBITERS
+from concord.bus.arbitration import ARBITERS, ONE_CLASS
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.flexray.slot_table import allocate
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
-from concord.bus.urgency_classes import ONE_CLASS
 from concord.features.flexray_tools.commands.rehearsal import rehearse
 from concord.results.bus.bus_report import (
     bus_figures,

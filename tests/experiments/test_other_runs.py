@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from concord.dashboard.frames.replay import assembled
+from concord.dashboard.frames.source import assembled
 from concord.dashboard.frames.stage import set_stage
 from concord.experiments import other_runs
 from concord.experiments.other_runs import OtherRuns, Question, expected, told_by

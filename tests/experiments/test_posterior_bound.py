@@ -13,7 +13,7 @@ from concord.scenarios.baselines import centralised
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 
 
 def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from concord.results.figures.energy import energy_per_bit_nj
 from concord.results.figures.figure_table import FIGURES
-from concord.results.figures.run_figures import figures_of
+from concord.results.figures.run_figures import energy_per_bit_nj, figures_of
 from concord.results.figures.run_frame import frame_of
 from concord.results.figures.summary import summarise
 from concord.results.records.trace import read_trace

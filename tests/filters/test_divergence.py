@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from concord.filters.divergence import kullback_leibler
 from concord.filters.gaussian import Gaussian
+from concord.nodes.rules.labelled.source_gate import kullback_leibler
 
 
 def random_belief(rng: np.random.Generator, n: int) -> Gaussian:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.filters.fusion import kalman_consensus
-from concord.filters.fusion.local import keep_own
+from concord.filters.fusion.hold import keep_own
 from concord.filters.gaussian import Gaussian
 from tests.filters.support import BATCHES, random_belief, random_spd
 

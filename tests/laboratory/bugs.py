@@ -161,7 +161,7 @@ BUGS = (
     ),
     Bug(
         "a guardian blocks nobody",
-        "concord.nodes.faults.collisions",
+        "concord.nodes.faults.links",
         "collides",
         (('if owned and faults.at("guardian", way.step):', "if False:"),),
     ),
@@ -230,7 +230,7 @@ LIVES_BUGS = (
     ),
     Bug(
         "a node that is too slow works off every reading",
-        "concord.runtime.processes.node.timetable", "NodeTimetable.is_lost",
+        "concord.runtime.processes.node.real_time_decisions", "NodeTimetable.is_lost",
         (("self.late_s(now_s, step) > self.tempo.oldest_s", "False"),),
     ),
     Bug(

@@ -13,7 +13,7 @@ import numpy as np
 from concord.bus.bus import Rejected
 from concord.nodes.changes import Welcome
 from concord.nodes.faults.losses import hears
-from concord.nodes.faults.passage import Passage
+from concord.nodes.faults.retries import Passage
 from concord.nodes.messages import CycleClosed, NodeEvent, ShareHeard
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
 from tests.laboratory.broken import Broken

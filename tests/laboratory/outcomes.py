@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.faults.active import EVERYBODY, Faults
-from concord.nodes.faults.passage import Passage
+from concord.nodes.faults.retries import Passage
 from concord.nodes.faults.vocabulary import PASSING
 
 # Faults that spoil a frame for all receivers of a bus with automatic retransmission.

@@ -16,7 +16,7 @@ from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
-from concord.topology.robustness import is_robust
+from concord.topology.analysis import is_robust
 
 # After these a reading says what its sensor never promised.
 LYING_SENSORS = ("outlier", "bias", "stuck")

@@ -9,7 +9,6 @@ import numpy as np
 from concord.features.sets.set_membership import SetAtNode
 from concord.filters.fusion.averaging import Averaged, Fused
 from concord.filters.gaussian import Gaussian, joined
-from concord.nodes.belief_codec import belief_of
 from concord.nodes.changes import Settings, Standing
 from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator, Rejected
@@ -21,6 +20,7 @@ from concord.nodes.rules.belief_consensus import BeliefConsensus
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
+from concord.nodes.vector_codec import belief_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 from tests.laboratory.averages import broken_promise, promised_weights

@@ -9,10 +9,9 @@ import numpy as np
 
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import read_frame
-from concord.bus.numbered_fragments import read_body
+from concord.bus.fragments import read_body
 from concord.bus.schedule import Schedule, full_publish
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.messages import Measured, decode, from_wire
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
@@ -21,6 +20,7 @@ from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_codec import RecordCodec
 from concord.nodes.rules.labelled.window_filter import WindowFilter
 from concord.nodes.rules.local_filter import SensorGroup
+from concord.nodes.vector_codec import BeliefCodec
 from concord.runtime.in_process import Link
 from tests.nodes import record_search
 from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, path, with_slots

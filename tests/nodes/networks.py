@@ -19,7 +19,6 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import Estimate, decode, from_wire
@@ -27,6 +26,7 @@ from concord.nodes.node import NodeConfig, NodeState
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.nodes.rules.lane_rule import Place
+from concord.nodes.vector_codec import BeliefCodec
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder
 from concord.topology.weights import metropolis

@@ -7,10 +7,10 @@ import numpy as np
 from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from concord.filters.fusion.averaging import INFORMATION, Averaged
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
 from concord.nodes.node import NodeConfig, NodeState, initial_state, step
 from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.vector_codec import BeliefCodec
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2

@@ -8,8 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from concord.bus.flexray.share_frames import payload_lengths
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
+from concord.nodes.vector_codec import BeliefCodec
 from tests.nodes.networks import random_priors
 
 SEEDS = st.integers(0, 2**32 - 1)

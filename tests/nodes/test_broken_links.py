@@ -32,7 +32,7 @@ from functools import partial
 from pathlib import Path
 import msgspec
 from concord.runtime.network.links import *
-from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.process import Management
 from concord.runtime.processes.node.lockstep import LockstepNode
 from concord.runtime.processes.node.membership import Membership
 from concord.runtime.processes.node.process import run_node

@@ -8,11 +8,11 @@ from scipy import stats
 
 from concord.features.recorded.sighting import Sighting
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, LabelledShare
 from concord.nodes.rules.labelled.record_codec import PACKED, RecordCodec, record_codec
 from concord.nodes.rules.labelled.record_sets import packed
+from concord.nodes.vector_codec import BeliefCodec
 from concord.plants.range_bearing import RangeBearing
 from tests.nodes.networks import random_cov
 

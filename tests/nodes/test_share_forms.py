@@ -13,7 +13,6 @@ from concord.filters.fusion import hybrid_consensus
 from concord.filters.fusion.packed import pack, packed_length, unpack
 from concord.filters.gaussian import Gaussian, Information, to_information
 from concord.filters.linalg import unpack_upper
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.share_forms import (
     MEAN_REACH,
     ShareForm,
@@ -22,6 +21,7 @@ from concord.nodes.share_forms import (
     TwoByteHybrid,
     TwoByteInformation,
 )
+from concord.nodes.vector_codec import belief_numbers, belief_of
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 

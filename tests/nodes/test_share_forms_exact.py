@@ -13,8 +13,8 @@ import pytest
 
 from concord.filters.fusion.packed import pack, unpack
 from concord.filters.gaussian import Gaussian, Information
-from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.share_forms import TwoByteBelief, TwoByteHybrid
+from concord.nodes.vector_codec import belief_numbers, belief_of
 
 STATES, NODES, ROUNDS, STEPS = 4, 5, 3, 12
 STEP_S = 0.5

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import to_frames
 from concord.bus.schedule import Schedule, dynamic_only, round_robin
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.losses import LinkState, hears
 from concord.nodes.messages import (
     Bid,
@@ -29,6 +28,7 @@ from concord.nodes.node import (
     initial_state,
     step,
 )
+from concord.nodes.vector_codec import BeliefCodec
 from tests.nodes.networks import with_slots
 from tests.nodes.one_node import (
     PRIORS,

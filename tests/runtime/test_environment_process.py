@@ -20,10 +20,9 @@ from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.processes import republisher as said
 from concord.runtime.processes.environment import inbox
 from concord.runtime.processes.environment import process as environment_process
-from concord.runtime.processes.environment.management import Management
 from concord.runtime.processes.environment.notices import Hello, Presence, RecorderCaughtUp
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
-from concord.runtime.processes.environment.process import EnvironmentProcess
+from concord.runtime.processes.environment.process import EnvironmentProcess, Management
 from concord.runtime.processes.environment.timetable import Beat
 from concord.runtime.processes.job import NodeEnded
 from concord.scenarios.build import build_environment

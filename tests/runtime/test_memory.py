@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from concord.runtime.batched.memory import keep_freed_memory
+from concord.studies.monte_carlo.simulate import keep_freed_memory
 
 
 def faults_of_temporaries() -> int:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
-from concord.runtime.processes.node.slow_processor import SlowProcessor
+from concord.runtime.processes.node.real_time import SlowProcessor
 from tests.experiments.support import small
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.runtime.batched.streams import beginnings, streams_of
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 from tests.experiments.support import scenario
 
 KEYS = st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1), st.integers(2**128, 2**200))

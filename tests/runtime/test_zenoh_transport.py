@@ -126,7 +126,7 @@ from concord.runtime.processes.recorder.process import run_recorder
 from concord.runtime.processes.environment.pacing import Lockstep
 from concord.runtime.processes.environment.process import run_environment
 from concord.runtime.recording import McapRecorder
-from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.process import Management
 from concord.runtime.processes.node.lockstep import LockstepNode
 from concord.runtime.processes.node.membership import Membership
 from concord.runtime.whole_steps import WholeSteps

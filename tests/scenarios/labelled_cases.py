@@ -26,8 +26,7 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 
 HUB, HUB_DEAD = 13, range(40, 70)
 # Standard deviations of a restarted node's prior: so wide that it carries no information.

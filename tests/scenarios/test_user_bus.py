@@ -15,8 +15,8 @@ from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.theme import DARK
 from concord.results.bus.bus_capture import capture
+from concord.results.folder import from_copies, keep_copies
 from concord.results.records.trace import read_trace
-from concord.results.user_files import from_copies, keep_copies
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
 from concord.scenarios.definitions.own import portable

@@ -17,7 +17,7 @@ from concord.filters.moments import Model, Residual
 from concord.filters.update import Update
 from concord.plants.oscillator import POSITION, VELOCITY, Oscillation
 from concord.plants.own_plant import OwnPlant, OwnSensor
-from concord.results.user_files import from_copies, keep_copies
+from concord.results.folder import from_copies, keep_copies
 from concord.scenarios.definitions.own import own_scenario, portable
 from concord.scenarios.preparation import fingerprint, prepare
 from concord.scenarios.scenario import Scenario

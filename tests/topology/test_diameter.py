@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from concord.topology.analysis import components
-from concord.topology.diameter import diameter_bounds
+from concord.topology.analysis import components, diameter_bounds
 from concord.topology.graphs import build_graph, grid, path, ring, star
 
 

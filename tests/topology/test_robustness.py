@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.topology.robustness import EXACT_NODES, is_robust
+from concord.topology.analysis import EXACT_NODES, is_robust
 
 
 def complete(nodes: int) -> list[list[int]]:

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
+import matplotlib
 import msgspec
 import numpy as np
 import tyro
@@ -21,6 +22,33 @@ from concord.features.flexray_tools.clocks.clock_run import (
     run_clocks,
 )
 from concord.features.flexray_tools.commands.clusters import read_cluster
+from concord.runtime.disk import writing
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+
+
+def draw(spreads_us: np.ndarray, bound_us: float, out: Path) -> None:
+    """Write a picture of the largest difference of two active nodes' clocks in each cycle.
+
+    Args:
+        spreads_us: (cycles,). bound_us: the assumed precision.
+    """
+    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+    axes.plot(np.arange(1, len(spreads_us) + 1), spreads_us, linewidth=0.7, label="reached")
+    axes.axhline(bound_us, color="black", linestyle="--", label="assumed precision")
+    axes.set(
+        xscale="log",
+        xlabel="communication cycle since the first collision avoidance symbol",
+        ylabel="largest difference of two clocks (us)",
+        ylim=(0, None),
+    )
+    axes.legend()
+    with writing(out):
+        figure.savefig(out)
+    plt.close(figure)
+
 
 _PICTURES = (".png", ".svg", ".pdf")
 _MOST_NODES, _MOST_CYCLES, _MOST_PPM = 2047, 1_000_000, 10_000.0
@@ -109,10 +137,6 @@ def clocks(
         run = run_clocks(settings, conditions, cycles, seed)
     report = _report(read.name, settings, conditions, run)
     if out is not None:
-        from concord.features.flexray_tools.commands.clock_picture import (
-            draw,  # only here: loads matplotlib
-        )
-
         draw(run.spreads_us, settings.precision_us, out)
     if json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")

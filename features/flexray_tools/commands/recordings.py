@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.constraints import BIT_RATES_MBPS
 from concord.bus.flexray.slot_file import slots_to_toml
@@ -28,8 +28,10 @@ from concord.features.flexray_tools.recordings.decoder import (
 from concord.features.flexray_tools.recordings.fit import Fit
 from concord.features.flexray_tools.recordings.fit import fit as fit_cluster
 from concord.features.flexray_tools.recordings.multiplexing import Multiplex
-from concord.features.flexray_tools.recordings.recorded_cluster import recorded_cluster
-from concord.features.flexray_tools.recordings.recorded_slots import recorded_slots
+from concord.features.flexray_tools.recordings.recorded_cluster import (
+    recorded_cluster,
+    recorded_slots,
+)
 from concord.features.flexray_tools.recordings.recording_files import read_recording
 from concord.features.flexray_tools.recordings.symbols import Symbol
 

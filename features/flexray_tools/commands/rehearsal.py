@@ -10,10 +10,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from concord.bus.arbitration import begin_arbitration
+from concord.bus.arbitration import UrgencyClasses, begin_arbitration
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import Schedule
-from concord.bus.urgency_classes import UrgencyClasses
 from concord.results.bus.sent_shares import SentShares
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare

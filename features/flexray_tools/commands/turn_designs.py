@@ -35,8 +35,7 @@ from concord.nodes.messages import from_wire
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.observability import jacobian, told
 from concord.scenarios.preparation import share_bytes
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 from concord.scenarios.types.buses import FlexRay
 
 # A plant is linear if its derivative changes by less than this part of itself.

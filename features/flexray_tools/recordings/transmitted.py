@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import CHANNEL_IDLE_BITS, TRAILING_BITS
 from concord.bus.flexray.share_frames import frame_id_of

@@ -8,8 +8,7 @@ FD: a wrong bit moves stuff bits, after which no theorem promises that the CRC f
 import struct
 from functools import partial
 
-from concord.bus.bus import Rejected
-from concord.bus.captured import Captured, Link
+from concord.bus.bus import Captured, Link, Rejected
 from concord.bus.identified_frames import Framing
 from concord.features.other_buses.can_fd.bits import (
     BASE_BITS,

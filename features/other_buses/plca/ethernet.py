@@ -6,8 +6,7 @@ Source: IEEE 802.3-2018, clause 3; IEEE 802-2014, clause 9.2.4 gives 0x88B5 to l
 import struct
 import zlib
 
-from concord.bus.bus import Rejected
-from concord.bus.captured import Captured, Link
+from concord.bus.bus import Captured, Link, Rejected
 from concord.bus.identified_frames import Framing
 
 MAX_NODES = 255

@@ -27,8 +27,7 @@ from concord.features.sets.filters.rounding import (
     rounding_bound,
     row_units,
 )
-from concord.filters.lanes import join_columns
-from concord.filters.linalg import multiply, squared_lengths
+from concord.filters.linalg import join_columns, multiply, squared_lengths
 
 
 class CycleResult(NamedTuple):

@@ -14,8 +14,7 @@ import numpy as np
 
 from concord.features.sets.filters.criterion import Criterion, unit_free
 from concord.features.sets.filters.rounding import magnitudes, rounding_bound, row_units
-from concord.filters.lanes import join_columns
-from concord.filters.linalg import multiply, squared_lengths
+from concord.filters.linalg import join_columns, multiply, squared_lengths
 
 # A state that is known better than it is rounded widens the others by no larger part (`grow`).
 _MOST_SHARE = 2.0**-16

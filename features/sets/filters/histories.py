@@ -24,7 +24,7 @@ from concord.features.sets.filters.recursive_estimator import optimal_step
 from concord.features.sets.filters.tight_estimator import conditioned
 from concord.features.sets.filters.zonotope import Zonotope
 from concord.features.sets.filters.zonotope_filter import zonotope_step
-from concord.filters.lanes import join_entries
+from concord.filters.linalg import join_entries
 
 CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
 

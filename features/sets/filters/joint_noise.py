@@ -23,8 +23,7 @@ import numpy as np
 
 from concord.features.sets.filters.ellipsoid import squared
 from concord.features.sets.filters.rounding import RANK_TOLERANCE, rounding_bound
-from concord.filters.lanes import join_columns, join_entries, join_rows
-from concord.filters.linalg import multiply
+from concord.filters.linalg import join_columns, join_entries, join_rows, multiply
 
 
 class LinearReadings(NamedTuple):

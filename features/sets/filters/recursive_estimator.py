@@ -30,8 +30,7 @@ from concord.features.sets.filters.ellipsoid import Ellipsoid, half_widths, repl
 from concord.features.sets.filters.lifted_cycle import AugmentedCycle
 from concord.features.sets.filters.multipliers import ACCURACY, Problem, smallest_bound
 from concord.features.sets.filters.rounding import magnitudes, pseudo_inverse, rounding_bound
-from concord.filters.lanes import join_columns, join_stacks
-from concord.filters.linalg import multiply, squared_lengths
+from concord.filters.linalg import join_columns, join_stacks, multiply, squared_lengths
 
 
 def optimal_step(

@@ -43,8 +43,7 @@ from concord.features.sets.filters.rounding import (
     rounding_bound,
     row_units,
 )
-from concord.filters.lanes import join_columns, join_stacks
-from concord.filters.linalg import multiply
+from concord.filters.linalg import join_columns, join_stacks, multiply
 
 
 class ConditionedResult(NamedTuple):

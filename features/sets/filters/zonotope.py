@@ -11,8 +11,7 @@ import numpy as np
 from concord.features.sets.filters.criterion import Criterion, unit_free
 from concord.features.sets.filters.ellipsoid import Ellipsoid
 from concord.features.sets.filters.rounding import rounding_bound, row_units
-from concord.filters.lanes import join_columns
-from concord.filters.linalg import multiply
+from concord.filters.linalg import join_columns, multiply
 
 
 class Zonotope(NamedTuple):

@@ -17,8 +17,7 @@ from concord.features.sets.filters.evidence import (
 )
 from concord.features.sets.filters.rounding import rounding_bound, row_units
 from concord.features.sets.filters.zonotope import Zonotope, half_widths, reduced
-from concord.filters.lanes import join_columns, join_entries, join_rows
-from concord.filters.linalg import multiply
+from concord.filters.linalg import join_columns, join_entries, join_rows, multiply
 
 GENERATORS = 30
 

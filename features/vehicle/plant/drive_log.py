@@ -13,8 +13,6 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 
 from concord.features.vehicle.plant.drive import Drive
-from concord.features.vehicle.plant.drive_check import require_one_drive
-from concord.features.vehicle.plant.local_plane import east_north
 from concord.features.vehicle.plant.parameters import Car, car_from_toml, car_to_toml
 from concord.plants.recorded.channels import (
     ChannelReadings,
@@ -25,6 +23,82 @@ from concord.plants.recorded.channels import (
 )
 from concord.plants.recorded.columns import Column, LogMap, map_from_toml, read_channels
 from concord.plants.recorded.log_files import text_of
+
+_LONGEST_SPACING_S = 2.0
+_JUDGED_READINGS, _ALIKE = 50, 0.8
+"""Readings that tell a side, at least, and a correlation that tells it."""
+
+
+def require_one_drive(channels: Mapping[str, ChannelReadings]) -> None:
+    """Refuse units and signs of `columns.toml` that no drive can have.
+
+    Raises:
+        ValueError: naming the channel and the cure.
+    """
+    _require_one_clock(channels)
+    _require_one_side(channels)
+
+
+def _require_one_clock(channels: Mapping[str, ChannelReadings]) -> None:
+    """Refuse channels that never meet, and readings that are far apart."""
+    steering = channels["steering"].stamps_s
+    for name, (stamps_s, _) in channels.items():
+        if len(stamps_s) and max(stamps_s[0], steering[0]) > min(stamps_s[-1], steering[-1]):
+            raise ValueError(
+                f"{name} was read from {stamps_s[0]:.15g} to {stamps_s[-1]:.15g} s, but "
+                f"steering from {steering[0]:.15g} to {steering[-1]:.15g} s, so they never meet; "
+                "correct unit and offset of their times"
+            )
+    if channels["steering"].spacing_s > _LONGEST_SPACING_S:
+        raise ValueError(
+            f"steering has a reading every {channels['steering'].spacing_s:.3g} s, but a "
+            "car is steered within tenths; correct the unit of its time"
+        )
+
+
+def _require_one_side(channels: Mapping[str, ChannelReadings]) -> None:
+    """Refuse a car that turns away from where it is steered, or accelerates away from its turn."""
+    turning = channels["yaw_rate"]
+    turned = turning.values - turning.values.mean()  # an offset points to no side
+    for name in ("steering", "lateral_acceleration"):
+        if name not in channels or len(channels[name].values) < _JUDGED_READINGS:
+            continue
+        other = np.interp(turning.stamps_s, *channels[name])
+        other -= other.mean()
+        alike = float(turned @ other) / np.sqrt((turned @ turned) * (other @ other) or 1.0)
+        if alike < -_ALIKE:
+            raise ValueError(
+                f"yaw_rate and {name} point to opposite sides (correlation "
+                f"{alike:.2g}), but both are positive to the left; give the one that is "
+                f"positive to the right scale = -1.0"
+            )
+
+
+EQUATOR_M = 6378137.0
+FLATTENING = 1 / 298.257223563
+
+
+def east_north(
+    latitude_rad: np.ndarray, longitude_rad: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """East and north (n,) in m of the first of fixes (n,), on the plane that touches WGS 84 there.
+
+    Fixes are taken to lie on the ellipsoid. A distance d from the first fix comes out too short
+    by d^3 / (6 R^2), 4 mm at 10 km. A road at height h above the ellipsoid comes out shorter by
+    h / R, 16 mm in 100 m at 1 km.
+
+    Source: National Imagery and Mapping Agency TR8350.2 (2000), WGS 84:
+    ellipsoid, and equation 4-14 for Cartesian coordinates, which are turned to east and north.
+    """
+    square = FLATTENING * (2 - FLATTENING)
+    across = EQUATOR_M / np.sqrt(1 - square * np.sin(latitude_rad) ** 2)
+    apart = longitude_rad - longitude_rad[:1]
+    outward = across * np.cos(latitude_rad) * np.cos(apart)
+    east = across * np.cos(latitude_rad) * np.sin(apart)
+    axial = (1 - square) * across * np.sin(latitude_rad)
+    sine, cosine = np.sin(latitude_rad[:1]), np.cos(latitude_rad[:1])
+    return east, cosine * (axial - axial[:1]) - sine * (outward - outward[:1])
+
 
 T = TypeVar("T")
 

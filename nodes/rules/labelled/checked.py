@@ -14,6 +14,7 @@ from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlood
 from concord.nodes.rules.labelled.frame import LabelledShare
 from concord.nodes.rules.labelled.self_check import ASKING, is_suspect, trusting
 from concord.nodes.rules.labelled.window_filter import one_lane
+from concord.nodes.rules.labelled.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)
@@ -58,3 +59,19 @@ class SelfCheckedFlooding(LabelledFlooding):
 
 def _asks(content: LabelledContent) -> bool:
     return bool(is_suspect(content.windows, ASKING)[0, 0])
+
+
+@dataclass(frozen=True)
+class SmoothingFlooding(SelfCheckedFlooding):
+    """`SelfCheckedFlooding` with the smoothed states of the last `smooth_steps` steps."""
+
+    smooth_steps: int = 0
+
+    def smoothed(self, content: LabelledContent) -> Gaussian:
+        """States of 0, 1, ... steps ago given all records: mean (L, n), cov (L, n, n).
+
+        NaN while the node knows nothing, and before the window's first step.
+        """
+        mean, cov = smoothed_past(self.filter, content.windows, self.smooth_steps)
+        past = Gaussian(mean[0, 0], cov[0, 0])
+        return Gaussian(*(np.full_like(one, np.nan) for one in past)) if content.needs else past

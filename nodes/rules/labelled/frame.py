@@ -20,10 +20,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.labelled.record_codec import RecordForm
 from concord.nodes.rules.labelled.record_sets import RecordSets
+from concord.nodes.vector_codec import BeliefCodec
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255

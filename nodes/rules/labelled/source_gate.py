@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from concord.filters.divergence import kullback_leibler
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import solve_spd
 from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import (
@@ -21,6 +21,19 @@ from concord.nodes.rules.local_filter import (
     update_with_reading,
     where,
 )
+
+
+def kullback_leibler(belief: Gaussian, predicted: Gaussian) -> np.ndarray:
+    """Return the Kullback-Leibler divergence (...) of beliefs (..., n) from others, in nats.
+
+    It is 0 where both are equal, and NaN or infinite where a covariance is not positive definite.
+    Source: Kullback (1959), Information theory and statistics, section 9.1.
+    """
+    change = (belief.mean - predicted.mean)[..., None]
+    shift = (change * solve_spd(predicted.cov, change)).sum(axis=(-1, -2))
+    ratio = np.trace(solve_spd(predicted.cov, belief.cov), axis1=-2, axis2=-1)
+    volumes = np.linalg.slogdet(predicted.cov)[1] - np.linalg.slogdet(belief.cov)[1]
+    return 0.5 * (shift + ratio - belief.mean.shape[-1] + volumes)
 
 
 def judged(

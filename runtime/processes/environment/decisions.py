@@ -12,7 +12,6 @@ from concord.nodes.commands import Command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import EnvironmentEvent, EnvironmentMessage, Unreachable
 from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
-from concord.runtime.processes.environment.failures import Deserted
 from concord.runtime.processes.environment.notices import (
     Hello,
     Notice,
@@ -23,6 +22,28 @@ from concord.runtime.processes.environment.notices import (
 from concord.runtime.processes.environment.pacing import EnvironmentPacing
 from concord.runtime.processes.environment.timetable import Beat
 from concord.runtime.processes.job import NodeEnded
+
+
+class Disagreement(Exception):
+    """A node was started with another configuration than the environment."""
+
+
+class Deserted(Exception):
+    """Every node is gone."""
+
+
+def compare(hello: Hello, fingerprint: str) -> None:
+    """Compare a node's configuration with the environment's.
+
+    Raises:
+        Disagreement: it does not.
+    """
+    if hello.fingerprint != fingerprint:
+        raise Disagreement(
+            f"node {hello.node} runs configuration {hello.fingerprint[:12]!r}, the environment "
+            f"{fingerprint[:12]!r}; give all the same setup and version"
+        )
+
 
 # An environment process that stood still for longer than its lease finds all nodes gone. Links come
 # back within a second or two, on a busy machine in three times that.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concord.nodes.commands import Answer
 from concord.runtime.network.links import ENVIRONMENT, RECORDER
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.environment.failures import compare
+from concord.runtime.processes.environment.decisions import compare
 from concord.runtime.processes.environment.inbox import EnvironmentInbox
 from concord.runtime.processes.environment.notices import Asked, Hello, Presence
 from concord.runtime.processes.environment.reports import in_words

@@ -1,13 +1,17 @@
 """The environment process: a loop that gives messages and notices to the run controller."""
 
 import math
+import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import msgspec
 
 from concord.nodes import environment
 from concord.nodes.bounds import node_of
-from concord.nodes.changes import Gone
+from concord.nodes.changes import Gone, Settings
 from concord.nodes.commands import Answer, Kill, Restart, read_command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import (
@@ -33,8 +37,6 @@ from concord.runtime.processes.environment.decisions import (
 )
 from concord.runtime.processes.environment.gathering import gather
 from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
-from concord.runtime.processes.environment.management import Management
-from concord.runtime.processes.environment.node_ends import follow_ends
 from concord.runtime.processes.environment.notices import (
     Alone,
     Asked,
@@ -43,8 +45,37 @@ from concord.runtime.processes.environment.notices import (
 )
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
 from concord.runtime.processes.environment.reports import clock, last_words, standing
+from concord.runtime.processes.job import NodeEnded
 from concord.runtime.processes.peer_timeout import PeerTimeout
 from concord.runtime.processes.republisher import Republisher
+
+
+class Management(NamedTuple):
+    """`kill(node)` and `start(node, life)` its process, `check(before, asked)` what people want to
+    set, `on_step(completed)`; `setup` is JSON to be shown. Where it `keeps_nodes` it can kill and
+    start them; others' processes are on other hosts. `NodeEnded` is read from the descriptor
+    `ends`."""
+
+    kill: Callable[[int], None]
+    start: Callable[[int, int], None]
+    check: Callable[[Settings, Settings], Settings]
+    on_step: Callable[[int], None]
+    setup: bytes
+    ends: int
+    keeps_nodes: bool = True
+
+
+def follow_ends(descriptor: int, notify: Callable[[NodeEnded], None]) -> None:
+    """Notify of each end that is written to the pipe, in a thread of its own."""
+    reports = os.fdopen(os.dup(descriptor), "rb")
+
+    def read() -> None:
+        with reports:
+            for line in reports:
+                notify(msgspec.json.decode(line, type=NodeEnded))
+
+    threading.Thread(target=read, daemon=True).start()
+
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0

@@ -14,12 +14,10 @@ from concord.nodes.messages import NodeEvent, NodeMessage, Unreachable, encode, 
 from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
 from concord.runtime.network.links import ENVIRONMENT, peers_of
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.departed_peers import DepartedPeers
-from concord.runtime.processes.node.entry import await_links
 from concord.runtime.processes.node.lockstep_inbox import NODE_QUEUE, LockstepInbox, node_topics
-from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.membership import Membership, await_links
 from concord.runtime.processes.node.process import GivenUp
-from concord.runtime.processes.peer_timeout import PeerTimeout
+from concord.runtime.processes.peer_timeout import DepartedPeers, PeerTimeout
 from concord.runtime.processes.republisher import Republisher
 
 # Links of a node that joins come up within so long.

@@ -1,12 +1,14 @@
 """How the process of a node belongs to a network of processes."""
 
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Collection, Mapping
 
 import msgspec
 
 from concord.nodes.node_state import NodeConfig
 from concord.runtime.network.links import ZenohEndpoints, peers_of
+from concord.runtime.network.zenoh_transport import Transport
 
 
 class Membership(msgspec.Struct, frozen=True):
@@ -36,3 +38,27 @@ class Membership(msgspec.Struct, frozen=True):
     def peers(self) -> list[int]:
         """The nodes that this node hears or that hear it; all are there before the first share."""
         return peers_of(self.config.index, self.config.graph)
+
+
+# Interval at which the node looks for peers.
+_LOOK_S = 0.5
+
+
+class Situation(msgspec.Struct):
+    """The part of the network's state that a node must know to join it."""
+
+    members: list[int]
+    begun: bool
+
+
+def await_links(transport: Transport, peers: Collection[int]) -> bool:
+    """Wait until all `peers` are there that take part; whether the run has begun."""
+    while True:
+        answer = transport.ask("state")
+        if answer is None:
+            time.sleep(_LOOK_S)
+            continue
+        there = msgspec.json.decode(answer, type=Situation)
+        linked = {str(j) for j in peers if j in there.members}
+        if transport.await_present(linked, _LOOK_S):
+            return there.begun

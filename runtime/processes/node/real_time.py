@@ -8,25 +8,139 @@ step what the timetable cost. `real_time_decisions.py` decides; here are clock, 
 """
 
 import dataclasses
+import threading
 import time
-from collections.abc import Sequence
-from queue import Empty
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from queue import Empty, Full, Queue
+
+import msgspec
 
 from concord.nodes import node as state_machine
 from concord.nodes.changes import Welcome
-from concord.nodes.messages import Estimate, NodeEvent, NodeMessage, encode, topic
+from concord.nodes.messages import END, Estimate, NodeEvent, NodeMessage, encode, topic
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
 from concord.nodes.tempo import Tempo
 from concord.runtime.network.links import ENVIRONMENT
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.node.entry import await_links
-from concord.runtime.processes.node.mailbox import Mailbox
-from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.clock import EnvironmentClock, ahead_s
+from concord.runtime.processes.node.membership import Membership, await_links
 from concord.runtime.processes.node.process import GivenUp
 from concord.runtime.processes.node.real_time_decisions import UNTIL_A_MESSAGE, RealTimeDecisions
-from concord.runtime.processes.node.slow_processor import SlowProcessor
-from concord.runtime.processes.node.start_time import StartTime
 from concord.runtime.processes.peer_timeout import PeerTimeout
+
+_MOST = 65_536
+
+
+class Mailbox:
+    """Messages (topic, bytes) of some topics, in the order in which they came."""
+
+    def __init__(self, transport: Transport, topics: Sequence[str]) -> None:
+        self.ended = threading.Event()
+        self._queue: Queue[tuple[str, bytes]] = Queue(_MOST)
+        transport.listen("end", self._hear_end)
+        for heard in topics:
+            transport.listen(heard, self._hear)
+
+    def get(self) -> tuple[str, bytes]:
+        """Wait for the next message."""
+        return self._queue.get()
+
+    def get_within(self, seconds: float) -> tuple[str, bytes]:
+        """Wait for the next message.
+
+        Raises:
+            Empty: none came in time.
+        """
+        if seconds <= 0:
+            raise Empty
+        return self._queue.get(timeout=seconds)
+
+    def get_waiting(self) -> tuple[str, bytes]:
+        """A message that is there already.
+
+        Raises:
+            Empty: there is none.
+        """
+        return self._queue.get_nowait()
+
+    def clear(self) -> None:
+        """Drop the messages that are there already."""
+        with suppress(Empty):
+            for _ in range(self._queue.qsize()):
+                self._queue.get_nowait()
+
+    def waiting(self) -> int:
+        """The number of messages that are there already."""
+        return self._queue.qsize()
+
+    def _hear(self, name: str, data: bytes) -> None:
+        """Drop the message when the mailbox is full: blocking would stall every subscription.
+
+        Runs on: a thread of zenoh's.
+        """
+        with suppress(Full):
+            self._queue.put_nowait((name, data))
+
+    def _hear_end(self, name: str, data: bytes) -> None:
+        """Runs on: a thread of zenoh's."""
+        if data == END:
+            self.ended.set()
+        else:
+            self._hear(name, data)
+
+
+_ASK_AGAIN_S = 1.0
+
+
+class StartTime:
+    """Asks the environment process for the common start."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport, self._ahead_s = transport, 0.0
+        self._announced = threading.Event()
+        transport.listen("start", lambda name, data: self._announced.set())
+
+    def compare_clocks(self) -> None:
+        """Measure how far another host's clock is ahead of this one's."""
+        self._ahead_s = ahead_s(self._their_time)
+
+    def wait(self) -> float:
+        """Wait until the start is known; when step 0 begins or began, on our monotonic clock."""
+        while True:
+            clock = self._clock()
+            if clock is not None and clock.start_s is not None:
+                return clock.start_s - self._ahead_s
+            # A node that is there from the beginning on hears the announcement. Another one asks
+            # again: an answer may be lost on a busy machine.
+            self._announced.wait(_ASK_AGAIN_S)
+            self._announced.clear()
+
+    def _clock(self) -> EnvironmentClock | None:
+        answer = self._transport.ask("clock")
+        return None if answer is None else msgspec.json.decode(answer, type=EnvironmentClock)
+
+    def _their_time(self) -> float | None:
+        clock = self._clock()
+        return None if clock is None else clock.now_s
+
+
+class SlowProcessor:
+    """Adds processor time to the work of the thread that calls it.
+
+    `used_s` returns the processor time that this thread has used so far.
+    """
+
+    def __init__(self, used_s: Callable[[], float] = time.thread_time) -> None:
+        self._used_s, self._since_s = used_s, used_s()
+
+    def work(self, factor: float) -> None:
+        """Compute on until the work since the last call has taken `factor` times its time."""
+        until_s = self._since_s + factor * (self._used_s() - self._since_s)
+        while self._used_s() < until_s:
+            # The thread must use the processor: a pause would leave it to other nodes.
+            pass
+        self._since_s = self._used_s()
 
 
 class RealTimeNode:

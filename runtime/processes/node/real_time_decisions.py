@@ -7,12 +7,13 @@ simulation testing under a virtual clock.
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
 from concord.nodes import node as state_machine
 from concord.nodes import node_changes
-from concord.nodes.changes import Gone, Welcome
+from concord.nodes.changes import Change, Gone, Welcome
 from concord.nodes.messages import (
     CycleClosed,
     Estimate,
@@ -25,9 +26,117 @@ from concord.nodes.messages import (
 )
 from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
 from concord.nodes.tempo import Tempo
-from concord.runtime.processes.node.heartbeats import Heartbeats
-from concord.runtime.processes.node.timetable import NodeTimetable
-from concord.runtime.processes.node.timing_records import TimingRecords
+
+
+@dataclass
+class _Record:
+    """One step that is under way, or will be."""
+
+    heartbeat_late_s: float | None
+    cycle_late_s: list[float] = field(default_factory=list)
+    incomplete: int = 0
+    overrun: int = 0
+
+
+class TimingRecords:
+    """Collects the delays of each step until its estimate is sent."""
+
+    def __init__(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._steps: dict[int, _Record] = {}
+        # The last cycle that lacked something: its groups count once.
+        self._lacking = -1
+
+    def hear_heartbeat(self, step: int, late_s: float | None) -> None:
+        """The first heartbeat of a step came so late; None: the node goes on without one."""
+        self._steps.setdefault(step, _Record(late_s))
+
+    def begin_cycle(self, step: int, late_s: float) -> None:
+        """A cycle of a step begins so long after its time."""
+        record = self._steps[step]
+        record.cycle_late_s.append(late_s)
+        record.overrun += late_s >= self._cycle_s
+
+    def end_group(self, step: int, cycle: int, is_complete: bool) -> None:
+        """A group of a cycle ends at its deadline, with all that was due or without."""
+        record = self._steps[step]
+        in_time = record.cycle_late_s[-1] < self._cycle_s
+        if in_time and not is_complete and self._lacking != cycle:
+            self._lacking = cycle
+            record.incomplete += 1
+
+    def take(self, node: int, step: int) -> Timing:
+        """Return the timing of a step that is over, and forget it."""
+        record = self._steps.pop(step)
+        return Timing(
+            node,
+            step,
+            record.heartbeat_late_s,
+            record.cycle_late_s,
+            record.incomplete,
+            record.overrun,
+        )
+
+
+class NodeTimetable:
+    """Times of steps and groups on the node's own clock, which shows `now_s`.
+
+    `start_s` is the common start on that clock, 0 until it is known.
+    """
+
+    def __init__(self, tempo: Tempo) -> None:
+        self.tempo, self.start_s = tempo, 0.0
+
+    def late_s(self, now_s: float, step: int, cycle: int = 0) -> float:
+        """Return how long ago a cycle of a step began; `cycle` counts from 0 in each step."""
+        return now_s - self.start_s - self.tempo.cycle_begins_s(step, cycle)
+
+    def group_ends_s(self, config: NodeConfig, state: NodeState) -> float:
+        """Return the time at which the open group of the cycle ends."""
+        groups = len(config.schedule.groups(state.cycle))
+        cycle = (state.cycle - config.first_cycle) % config.rounds
+        return self.start_s + self.tempo.group_ends_s(state.step, cycle, state.group, groups)
+
+    def is_lost(self, now_s: float, step: int) -> bool:
+        """Whether an estimate of a step that is sent now counts as lost."""
+        return self.late_s(now_s, step) > self.tempo.oldest_s
+
+
+class Heartbeats:
+    """Remembers what readings look like, and changes that no heartbeat has brought in time."""
+
+    def __init__(self) -> None:
+        self._pattern: tuple[Measured, ...] = ()
+        self._overdue: tuple[Change, ...] = ()
+        self._blank_step = -1
+
+    @property
+    def are_known(self) -> bool:
+        """Whether a heartbeat has shown what readings look like here."""
+        return bool(self._pattern)
+
+    def was_blank(self, step: int) -> bool:
+        """Whether the node has begun this step without a heartbeat."""
+        return step == self._blank_step
+
+    def opening(self, measured: Measured) -> Measured:
+        """A heartbeat that is in time, with the changes that are overdue."""
+        self._pattern = (measured,)
+        changes, self._overdue = (*self._overdue, *measured.changes), ()
+        return replace(measured, changes=changes)
+
+    def miss(self, measured: Measured) -> None:
+        """A heartbeat came too late for its step; its changes hold from now on."""
+        self._overdue += measured.changes
+
+    def blank(self, step: int) -> Measured:
+        """The heartbeat of a step without readings, with the control that was known last."""
+        self._blank_step = step
+        (last,) = self._pattern
+        readings = [[None] * len(reading) for reading in last.readings]
+        changes, self._overdue = self._overdue, ()
+        return replace(last, step=step, readings=readings, changes=changes)
+
 
 # A node that asks to be let in again does not ask twice in this time; one that waits for the answer
 # asks again only where the link has lost it.

@@ -11,7 +11,7 @@ from concord.nodes.changes import Event, Left
 from concord.nodes.messages import END, MalformedMessage, decode, is_topic
 from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.departed_peers import DepartedPeers
+from concord.runtime.processes.peer_timeout import DepartedPeers
 from concord.runtime.processes.recorder.subscribers import Subscribers
 from concord.runtime.processes.republisher import AGAIN, KEEP
 from concord.runtime.processes.retransmissions import Deduplication

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.dynamic_segment import Request
 from concord.bus.flexray.frame import encode
 from concord.bus.flexray.presets import AUDI

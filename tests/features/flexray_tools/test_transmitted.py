@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.frame import Frame, encode

@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.arbitration import ARBITERS, award, begin_arbitration
-from concord.bus.bus import Rejected
-from concord.bus.captured import Captured
+from concord.bus.arbitration import ARBITERS, ONE_CLASS, UrgencyClasses, award, begin_arbitration
+from concord.bus.bus import Captured, Rejected
 from concord.bus.schedule import dynamic_only, full_publish, hybrid
-from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 from concord.features.measurement_bus import measurement_bus
 from concord.features.other_buses.can_fd.bits import (
     DATA_BYTES,

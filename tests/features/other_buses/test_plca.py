@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.bus.arbitration import ARBITERS
-from concord.bus.bus import Rejected
-from concord.bus.captured import Captured
+from concord.bus.bus import Captured, Rejected
 from concord.bus.schedule import full_publish, round_robin
 from concord.features.other_buses.plca.cycle import (
     PlcaSettings,

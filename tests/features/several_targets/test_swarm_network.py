@@ -35,8 +35,7 @@ from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_bus, build_environment, build_node
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.script import script_of
-from concord.scenarios.setup import Setup
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import Setup, generator
 from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
 from tests.experiments.support import scenario
 from tests.test_batched_agreement import check_run

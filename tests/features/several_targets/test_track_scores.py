@@ -21,7 +21,7 @@ from concord.results.records.histories_file import read_histories
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare, setup_of_run
-from concord.scenarios.streams import generator
+from concord.scenarios.setup import generator
 from concord.studies.monte_carlo.many_figures import summarise
 from tests.experiments.support import scenario
 from tests.features.flexray_tools.flexray_support import concord

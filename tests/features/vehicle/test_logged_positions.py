@@ -13,8 +13,12 @@ import pytest
 from msgspec.structs import replace
 
 from concord.experiments.__main__ import main
-from concord.features.vehicle.plant.drive_log import columns_from_toml, read_log, write_drive
-from concord.features.vehicle.plant.local_plane import east_north
+from concord.features.vehicle.plant.drive_log import (
+    columns_from_toml,
+    east_north,
+    read_log,
+    write_drive,
+)
 from concord.features.vehicle.plant.network import HEADING, PLACE, SIDE_SLIP, SPEED, YAW_RATE
 from concord.features.vehicle.plant.parameters import Car, SensorSheet, car_to_toml
 from concord.features.vehicle.plant.start import start_of

@@ -24,13 +24,13 @@ from concord.nodes.messages import (
 from concord.runtime.processes.environment.decisions import (
     Action,
     AwaitReturn,
+    Deserted,
     EnvironmentDecisions,
     KillNode,
     Remind,
     StartNode,
     TellOut,
 )
-from concord.runtime.processes.environment.failures import Deserted
 from concord.runtime.processes.environment.notices import (
     Alone,
     Hello,

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from concord.nodes.changes import Welcome
 from concord.nodes.messages import Estimate
 from concord.nodes.run_controller import RunController
-from concord.runtime.processes.environment.decisions import EnvironmentDecisions
-from concord.runtime.processes.environment.failures import Deserted
+from concord.runtime.processes.environment.decisions import Deserted, EnvironmentDecisions
 from tests.laboratory.broken import Broken
 from tests.laboratory.lives.case import LivesCase
 from tests.laboratory.lives.processes import NodeProcess

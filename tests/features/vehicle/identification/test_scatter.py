@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from concord.features.vehicle.identification.scatter import scatter_of
+from concord.features.vehicle.identification.likelihood import scatter_of
 
 
 @pytest.mark.parametrize("samples", [400, 1500])
