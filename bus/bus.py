@@ -6,7 +6,7 @@ Nodes, environment, drivers and reports know a bus by this face alone.
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self, TypeGuard, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -339,3 +339,30 @@ class Bus(Protocol):
             ValueError: they do not; names the cure.
         """
         ...
+
+
+@runtime_checkable
+class Retransmits(Protocol):
+    """A bus whose controllers send a frame again when any receiver reports an error.
+
+    `retransmissions` is how often at most. A cycle has time for all of them.
+    """
+
+    @property
+    def retransmissions(self) -> int:
+        """Return how often a frame is sent again at most."""
+        ...
+
+    def failed_us(self, payload_bytes: int) -> float:
+        """Return the time of a frame that ends in an error, until the next one may begin."""
+        ...
+
+    def delays_us(self, cycle: Sequence[Transmission], failed: Sequence[int]) -> tuple[float, ...]:
+        """Return how much later the first try of each frame of a cycle begins because of errors,
+        where so many tries of each fail."""
+        ...
+
+
+def retransmits(bus: object) -> TypeGuard[Retransmits]:
+    """Return whether a bus sends frames again after errors."""
+    return isinstance(bus, Retransmits) and bus.retransmissions > 0

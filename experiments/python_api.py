@@ -9,7 +9,7 @@ from concord.results.records.netcdf_file import open_dataset
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.types.python_words import python_words
+from concord.scenarios.types.option import python_words
 from concord.studies.memory import check_memory
 from concord.studies.monte_carlo.simulate import AGES, COV, READINGS
 from concord.studies.monte_carlo.simulate import simulate as simulate_setup

@@ -12,8 +12,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.scenario import Scenario, in_words
 from concord.scenarios.types.assignment import flat
-from concord.scenarios.types.option import Choice
-from concord.scenarios.types.python_words import python_words
+from concord.scenarios.types.option import Choice, python_words
 from concord.scenarios.user.values import kept_source
 from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
 from concord.studies.compare.output import write_comparison

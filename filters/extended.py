@@ -18,12 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.filters.conditioning import condition
 from concord.filters.filter import Affine
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import multiply, symmetrise
 from concord.filters.moments import Model, Residual, check_noise, evaluate
-from concord.filters.update import Update
+from concord.filters.update import Update, condition
 
 _WIDE_STEP = 1.0
 # Roundings of a value and of its summands by which a difference may be wrong.

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.filters.conditioning import condition
 from concord.filters.filter import Linearising
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import multiply, symmetrise
 from concord.filters.moments import Model, Residual
-from concord.filters.update import Update
+from concord.filters.update import Update, condition
 
 
 @dataclass(frozen=True)

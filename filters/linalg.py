@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from concord.filters.kernels import columns
-from concord.filters.kernels.columns import in_columns, in_rows
+from concord.filters import columns
+from concord.filters.columns import in_columns, in_rows
 
 
 def symmetrise(matrix: np.ndarray) -> np.ndarray:

@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters import square_root
-from concord.filters.conditioning import condition
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, symmetrise
 from concord.filters.moments import (
@@ -34,7 +33,7 @@ from concord.filters.moments import (
     weighted_mean,
 )
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.update import Update, chosen
+from concord.filters.update import Update, chosen, condition
 
 
 class Propagated(NamedTuple):

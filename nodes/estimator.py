@@ -5,13 +5,15 @@
 `Content` and its `Share`; the state machine keeps them.
 """
 
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from concord.bus.bus import Rejected as Rejected
+from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured, ReportedTracks
+from concord.nodes.rules.local_filter import Model, at, predict_to_step
 
 Content = TypeVar("Content")
 Share = TypeVar("Share")
@@ -123,3 +125,22 @@ class KeepsPast(Protocol):
         """States of 0, 1, ... steps ago given all that the node knows: mean (L, n), cov (L, n, n);
         NaN where it knows none."""
         ...
+
+
+class EarlierBelief(NamedTuple):
+    """A belief (n,) about the state at `step`; `control` (p,) drove the plant last."""
+
+    belief: Gaussian
+    step: int
+    control: np.ndarray | None = None
+
+    def at_step(self, step: int, model: Model, filter: Filter) -> Gaussian:
+        """Predict the belief to a step; it stays as it is where a prediction fails.
+
+        The control of the steps between is not known: the last one is taken for each of them.
+        """
+        beliefs = begun(filter, Gaussian(self.belief.mean[None], self.belief.cov[None]))
+        for number in range(self.step + 1, step + 1):
+            moved, sound = predict_to_step(beliefs, self.control, number, model, filter)
+            beliefs = moved if sound[0] else beliefs
+        return at(moments(filter, beliefs), 0)

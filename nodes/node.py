@@ -22,7 +22,6 @@ from msgspec.structs import replace
 from concord.bus.schedule import Schedule
 from concord.filters.linalg import pack_upper
 from concord.nodes.changes import Gone
-from concord.nodes.due_frames import cut_short, take_due
 from concord.nodes.estimator import (
     ChecksItself,
     KeepsPast,
@@ -37,11 +36,13 @@ from concord.nodes.faults.senders import spoken
 from concord.nodes.inbox import (
     EARLY_CYCLES,
     MOST_EARLY,
+    cut_short,
     file_early,
     hear,
     hear_late,
     last_early_cycle,
     let_in_overtaken,
+    take_due,
 )
 from concord.nodes.messages import (
     Bid,

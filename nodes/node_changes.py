@@ -9,7 +9,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes import node as state_machine
 from concord.nodes.changes import Joined, Present, Set, Standing, Welcome, after
-from concord.nodes.earlier_belief import EarlierBelief
+from concord.nodes.estimator import EarlierBelief
 from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import NodeMessage, from_wire
 from concord.nodes.node_state import NodeConfig, NodeState, Phase, count

@@ -12,8 +12,7 @@ from msgspec.structs import replace
 from concord.bus.bus import Bus, Fragment
 from concord.bus.schedule import Schedule
 from concord.nodes.changes import UNCHANGED, Standing
-from concord.nodes.earlier_belief import EarlierBelief
-from concord.nodes.estimator import AnyEstimator
+from concord.nodes.estimator import AnyEstimator, EarlierBelief
 from concord.nodes.faults.active import HEALTHY, Faults
 from concord.nodes.faults.losses import PERFECT, LinkState
 from concord.nodes.messages import Grant, Measured

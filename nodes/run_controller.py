@@ -46,13 +46,9 @@ from concord.nodes.commands import (
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.faults.vocabulary import FAULTS
 from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage, Estimate
+from concord.nodes.commands import Scripted
 
 
-class Scripted(NamedTuple):
-    """A command that holds from a step on."""
-
-    step: int
-    command: ChangeCommand
 
 
 class ProcessStarter(NamedTuple):

@@ -5,9 +5,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from concord.plants.angles import wrapped
 from concord.plants.motion import require_positive
+
+TURN = 2 * math.pi
+
+
+def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the same angles (...) in rad, within (-pi, pi]."""
+    # The minimum takes back one unit in the last place that rounding may add to pi.
+    return np.minimum(angle - TURN * np.ceil(angle / TURN - 0.5), math.pi)
+
 
 Moves = tuple[tuple[int, np.ndarray], ...]
 """Where sensors stand from a step on, in the order of the steps."""

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from concord.plants.angles import wrapped
 from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion, require_positive
-from concord.plants.oscillator import Draws, GeneratorFor, standard_draws
-from concord.plants.range_bearing import Moves, RangeBearing
+from concord.plants.placement import (Draws, GeneratorFor, standard_draws)
+from concord.plants.range_bearing import Moves, RangeBearing, wrapped
 
 
 @dataclass(frozen=True, eq=False)

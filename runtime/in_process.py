@@ -27,7 +27,8 @@ from concord.nodes.messages import (
     topic,
 )
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
-from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
+from concord.nodes.commands import (Scripted)
+from concord.nodes.run_controller import (ProcessStarter, RunController)
 from concord.runtime.recording import Recorder
 
 ENVIRONMENT = -1

@@ -12,9 +12,8 @@ from concord.bus.timebase import Pace
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
-from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
-from concord.nodes.estimator import AnyEstimator
+from concord.nodes.estimator import AnyEstimator, EarlierBelief
 from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
 from concord.scenarios.bus_table.bus_plan import plan_bus

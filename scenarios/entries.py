@@ -80,47 +80,47 @@ RULES = {
 }
 FILTERS = {
     "ukf": (
-        "concord.scenarios.filter_table.gaussian_filters:UKF",
+        "concord.scenarios.filter_table.filter_entry:UKF",
         "Unscented Kalman filter, with the sigma points of the scenario.",
         f"{_TYPES}.filters:UnscentedFilter",
     ),
     "ckf": (
-        "concord.scenarios.filter_table.gaussian_filters:CKF",
+        "concord.scenarios.filter_table.filter_entry:CKF",
         "Cubature Kalman filter: sigma points of equal positive weights.",
         f"{_TYPES}.filters:CubatureFilter",
     ),
     "srukf": (
-        "concord.scenarios.filter_table.gaussian_filters:SRUKF",
+        "concord.scenarios.filter_table.filter_entry:SRUKF",
         "Unscented Kalman filter in square-root form: no difference of covariances.",
         f"{_TYPES}.filters:SquareRootUnscented",
     ),
     "srckf": (
-        "concord.scenarios.filter_table.gaussian_filters:SRCKF",
+        "concord.scenarios.filter_table.filter_entry:SRCKF",
         "Cubature Kalman filter in square-root form: no difference of covariances.",
         f"{_TYPES}.filters:SquareRootCubature",
     ),
     "ekf": (
-        "concord.scenarios.filter_table.gaussian_filters:EKF",
+        "concord.scenarios.filter_table.filter_entry:EKF",
         "Extended Kalman filter, with Jacobians by central differences.",
         f"{_TYPES}.filters:TangentFilter",
     ),
     "kf": (
-        "concord.scenarios.filter_table.gaussian_filters:KF",
+        "concord.scenarios.filter_table.filter_entry:KF",
         "Kalman filter, for plants and sensors that are linear; takes a singular covariance.",
         f"{_TYPES}.filters:LinearFilter",
     ),
     "iplf": (
-        "concord.scenarios.filter_table.gaussian_filters:IPLF",
+        "concord.scenarios.filter_table.filter_entry:IPLF",
         "Iterated posterior linearisation: the ukf, linearised where the reading leads.",
         f"{_TYPES}.filters:PosteriorLinearisation",
     ),
     "iekf": (
-        "concord.scenarios.filter_table.gaussian_filters:IEKF",
+        "concord.scenarios.filter_table.filter_entry:IEKF",
         "Iterated extended Kalman filter: the ekf, linearised where the reading leads.",
         f"{_TYPES}.filters:IteratedTangentFilter",
     ),
     "imm": (
-        "concord.scenarios.filter_table.gaussian_filters:IMM",
+        "concord.scenarios.filter_table.filter_entry:IMM",
         "Interacting multiple models: the ukf of a straight course and that of a turn.",
         f"{_TYPES}.filters:InteractingMultipleModels",
     ),

@@ -5,9 +5,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from concord.bus.bus import Bus
+from concord.bus.bus import Bus, retransmits
 from concord.bus.clocks import KeepsClocks
-from concord.bus.retransmissions import retransmits
 from concord.filters.interacting_models import stacked_size
 from concord.nodes.faults.active import Equipment, Faults
 from concord.nodes.vector_codec import BeliefCodec

@@ -1,18 +1,20 @@
 """Node context: a node's place in its network, from which its estimator is built."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from concord.bus.schedule import Schedule
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.nodes.lanes.links import Links, Shares
 from concord.nodes.rules.belief_consensus import HoldPolicy
 from concord.nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import CovarianceIntersection, FusionRule
+
+if TYPE_CHECKING:
+    from concord.nodes.lanes.links import Links, Shares
 
 
 class Everybody(NamedTuple):
@@ -86,8 +88,8 @@ class BatchContext(NamedTuple):
 
     rule: RuleContext
     filters: LocalFilters
-    links: Links
-    base: Shares
+    links: "Links"
+    base: "Shares"
     rounds: int
     contenders: np.ndarray
     everybody: Callable[[], Everybody]

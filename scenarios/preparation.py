@@ -17,7 +17,7 @@ from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import from_wire, to_wire
 from concord.nodes.share_forms import MEAN_REACH
 from concord.plants.placement import FILE, is_move, moved_sites, site_text
-from concord.scenarios.bus_table.bus_plan import build_schedule, plan_bus
+from concord.scenarios.bus_table.bus_plan import build_schedule, plan_bus, with_pinned_arbiter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
 from concord.scenarios.filter_table.filters import check_models, check_prior
@@ -31,7 +31,6 @@ from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
 from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.rules import number_of
-from concord.scenarios.user.arbiter import with_pinned_arbiter
 from concord.scenarios.user.bus import check_user_bus
 from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name

@@ -12,9 +12,8 @@ from concord.scenarios.types.choices import choice_of
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.filters import FilterBase, UnscentedFilter, UserFilter
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.option import Option
+from concord.scenarios.types.option import Option, python_words
 from concord.scenarios.types.plants import SensedPlantChoice, UserPlant
-from concord.scenarios.types.python_words import python_words
 from concord.scenarios.types.rules import (
     AverageRule,
     CovarianceIntersection,

@@ -18,7 +18,7 @@ from concord.nodes.commands import (
     in_words,
 )
 from concord.nodes.faults.active import Equipment
-from concord.nodes.run_controller import Scripted
+from concord.nodes.commands import (Scripted)
 from concord.scenarios.scenario import Scenario
 
 _FILE = "file:"

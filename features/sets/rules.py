@@ -20,7 +20,7 @@ from concord.features.sets.set_shapes import Ellipsoids, Shape, Zonotopes, set_f
 from concord.features.sets.window_sets import WindowSets
 from concord.filters.fusion.packed import packed_length
 from concord.filters.gaussian import Gaussian
-from concord.nodes.earlier_belief import EarlierBelief
+from concord.nodes.estimator import EarlierBelief
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.lane_rule import LocalStep
@@ -28,11 +28,9 @@ from concord.nodes.rules.local_filter import LocalFilters, Model
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filter_table.filters import build_filter
 from concord.scenarios.node_context import RuleContext
-from concord.scenarios.rule_table.estimators import at_node, in_batch
 from concord.scenarios.rule_table.labelled import check_labelled, largest_share, without_arrays
 from concord.scenarios.rule_table.labelled_rule import batch_parts, node_parts
-from concord.scenarios.rule_table.rule import Rule
-from concord.scenarios.rule_table.share_kinds import ShareKind
+from concord.scenarios.rule_table.rule import Rule, ShareKind, at_node, in_batch
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 

@@ -28,9 +28,18 @@ from concord.features.sets.filters.rounding import rounding_bound
 from concord.features.sets.set_shapes import HeldSet, Shape, chosen_sets, relative_size
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import multiply
-from concord.nodes.bids import BID_RESOLUTION, FIRST_BID, NO_BID
 from concord.nodes.rules.at_node import AtNode
-from concord.nodes.rules.lane_rule import Failures, LaneContent, LocalStep, Place, mapped, older
+from concord.nodes.rules.lane_rule import (
+    BID_RESOLUTION,
+    FIRST_BID,
+    NO_BID,
+    Failures,
+    LaneContent,
+    LocalStep,
+    Place,
+    mapped,
+    older,
+)
 
 
 @runtime_checkable

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.features.several_targets.options import FALSE_ALARM, MOST_CLUTTER
-from concord.plants.angles import wrapped
-from concord.plants.range_bearing import RangeBearing
+from concord.plants.range_bearing import RangeBearing, wrapped
 
 REFERENCE = math.sqrt(0.5)
 """Range at which the detection probability is the one asked for, in fields of view: half of the

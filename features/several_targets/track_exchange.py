@@ -22,9 +22,8 @@ from concord.features.several_targets.tracking.track_fusion import (
 from concord.features.several_targets.tracking.tracker import Scan, TrackerSettings
 from concord.features.several_targets.tracking.tracks import no_tracks, number_of_targets
 from concord.filters.gaussian import Gaussian
-from concord.nodes.bids import BIDS_FOR_CHANGE
 from concord.nodes.messages import Measured, ReportedTracks, from_wire
-from concord.nodes.rules.lane_rule import older
+from concord.nodes.rules.lane_rule import BIDS_FOR_CHANGE, older
 
 SHARES_IN_STEP = 2
 """A node speaks so often in a step at most, where it contends for slots."""

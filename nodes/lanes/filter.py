@@ -7,9 +7,8 @@ import numpy as np
 
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
-from concord.nodes.bids import FIRST_BID, bid_for_change
 from concord.nodes.lanes.links import Links
-from concord.nodes.rules.lane_rule import mapped
+from concord.nodes.rules.lane_rule import FIRST_BID, bid_for_change, mapped
 from concord.nodes.rules.local_filter import LocalFilters, Memory, where
 
 Counters = Mapping[str, np.ndarray]

@@ -12,7 +12,6 @@ import numpy as np
 
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
-from concord.nodes.bids import NO_BID
 from concord.nodes.lanes.filter import Counters, added, traffic
 from concord.nodes.lanes.kept_records import BatchedKeptRecords, nothing_kept_in_batch
 from concord.nodes.lanes.labelled_shares import Came, Shared, as_sent, came_over
@@ -25,6 +24,7 @@ from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY, RecordSets
 from concord.nodes.rules.labelled.source_gate import judged
 from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
+from concord.nodes.rules.lane_rule import NO_BID
 from concord.nodes.rules.local_filter import SensorGroup
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
-from concord.nodes.bids import asked
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.lane_rule import (
     AveragesShares,
@@ -19,6 +18,7 @@ from concord.nodes.rules.lane_rule import (
     Own,
     Place,
     Share,
+    asked,
     mapped,
 )
 from concord.nodes.rules.local_filter import (

@@ -15,12 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters import ukf
-from concord.filters.conditioning import condition
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
 from concord.filters.moments import Model, check_noise, evaluate, moments
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.update import Update
+from concord.filters.update import Update, condition
 
 
 class DualLayerStep(NamedTuple):

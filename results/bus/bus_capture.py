@@ -18,10 +18,17 @@ from typing import NamedTuple
 
 import msgspec
 
-from concord.bus.bus import Bus, Captured, FrameFormat, Rejected, Transmission
+from concord.bus.bus import (
+    Bus,
+    Captured,
+    FrameFormat,
+    Rejected,
+    Retransmits,
+    Transmission,
+    retransmits,
+)
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import FrameError
-from concord.bus.retransmissions import Retransmits, retransmits
 from concord.nodes.changes import UNCHANGED, Event, Standing, after
 from concord.nodes.faults.active import Faults, sends_nothing
 from concord.nodes.faults.links import carries

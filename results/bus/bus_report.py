@@ -11,8 +11,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from concord.bus.bus import Bus, Transmission
-from concord.bus.retransmissions import retransmits
+from concord.bus.bus import Bus, Transmission, retransmits
 from concord.results.bus.sent_shares import SentShares
 from concord.results.records.trace import Trace
 from concord.scenarios.build import build_bus

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.bids import NO_BID
 from concord.nodes.environment_state import Delivery
 from concord.nodes.lanes.filter import Counters, added, with_lanes
 from concord.nodes.lanes.links import places
@@ -31,6 +30,7 @@ from concord.nodes.lanes.network import (
 )
 from concord.nodes.messages import ReportedTracks
 from concord.nodes.node import contenders_left
+from concord.nodes.rules.lane_rule import NO_BID
 
 
 class Tally(NamedTuple):

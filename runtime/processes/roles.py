@@ -19,7 +19,6 @@ from concord.runtime.processes.job import Happened, Job, Order
 from concord.runtime.processes.node.lockstep import LockstepNode
 from concord.runtime.processes.node.membership import Membership
 from concord.runtime.processes.node.process import run_node
-from concord.runtime.processes.node.real_time import RealTimeNode
 from concord.runtime.processes.supervisor import TRY_AGAIN
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings, fingerprint
@@ -126,8 +125,14 @@ def be_node(
         endpoints_below(links, index),
         math.inf if job.place is None else job.place.peer_timeout_s,
     )
-    paced = LockstepNode if job.tempo is None else partial(RealTimeNode, tempo=job.tempo)
-    _joining(lambda: run_node(membership, paced(membership)))
+    if job.tempo is None:
+        _joining(lambda: run_node(membership, LockstepNode(membership)))
+        return
+    # Only here, after the fork: a node in lockstep needs no timetable.
+    from concord.runtime.processes.node.real_time import RealTimeNode
+
+    tempo = job.tempo
+    _joining(lambda: run_node(membership, RealTimeNode(membership, tempo=tempo)))
 
 
 def _joining(work: Callable[[], None]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from concord.bus.arbitration import ARBITERS, ONE_CLASS, UrgencyClasses
+from concord.bus.arbitration import ARBITERS, ONE_CLASS, Arbiter, UrgencyClasses
 from concord.bus.bus import Bus
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import (
@@ -15,7 +15,7 @@ from concord.bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from concord.nodes.bids import BIDS_FOR_CHANGE
+from concord.nodes.rules.lane_rule import BIDS_FOR_CHANGE
 from concord.scenarios.bus_table.bus_definition import BusRequest, bus_definition
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
@@ -27,9 +27,31 @@ from concord.scenarios.types.schedules import (
     occupancy_of,
     urgency_classes_of,
 )
-from concord.scenarios.user.arbiter import arbiter_named
 from concord.scenarios.user.bus import user_bus
+from concord.scenarios.user.values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
+
+
+def with_pinned_arbiter(scenario: Scenario) -> Scenario:
+    """The scenario with the digest of its arbiter's file beside its name, if it has such a file.
+
+    Raises:
+        ValueError: there is no such file.
+    """
+    name = arbiter_of(scenario.bus.schedule)
+    return scenario.with_(arbiter=pinned(name)) if is_source_name(name) else scenario
+
+
+def arbiter_named(name: str) -> Arbiter:
+    """The arbiter of a name, or of a user's file: an `Arbiter`, or its function of urgency."""
+    if not is_source_name(name):
+        if name not in ARBITERS:
+            raise unknown_name("arbiter", name, ARBITERS)
+        return ARBITERS[name]
+    must = "a function urgency(state, bids, frame_ids), or an Arbiter of concord.bus.arbitration"
+    value = function_or(Arbiter, source_of(name), must)
+    return value if isinstance(value, Arbiter) else Arbiter(value)
+
 
 # Nodes that pass records on ask in most cycles. If each were old after a turn of all, slots would
 # go by age and not by need. Two classes leave one for all needs: there only age tells nodes apart.

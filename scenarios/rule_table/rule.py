@@ -6,17 +6,86 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.earlier_belief import EarlierBelief
-from concord.nodes.estimator import AnyEstimator
+from concord.nodes.estimator import AnyEstimator, EarlierBelief
 from concord.nodes.rules.local_filter import Model
 from concord.scenarios.node_context import BatchContext, NodeContext
-from concord.scenarios.rule_table.share_kinds import BELIEFS, ShareKind
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
     from concord.nodes.lanes.network import BatchedRule
     from concord.topology.weights import Weights
+
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from concord.filters.fusion.packed import packed_length
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.lane_rule import LaneRule, Place
+from concord.nodes.share_forms import (
+    ShareForm,
+    SingleBelief,
+    StackedBelief,
+    TwoByteBelief,
+    TwoByteHybrid,
+    TwoByteInformation,
+)
+from concord.nodes.vector_codec import VectorCodec
+from concord.scenarios.node_context import RuleContext
+
+if TYPE_CHECKING:
+    from concord.nodes.lanes.network import BatchedRule
+
+
+FormOf = Callable[[int, int], ShareForm]
+"""The form for so many states and nodes."""
+
+
+class ShareKind(NamedTuple):
+    """A kind of share.
+
+    Attributes:
+        what: its name in reports of shares that cannot be used.
+        length: how many numbers are in a share, for so many states and nodes.
+        forms: its form by type code; a float type without one is written number by number.
+    """
+
+    what: str
+    length: Callable[[int, int], int]
+    forms: Mapping[str, FormOf] = {}
+
+    def codec(self, number: str, states: int, nodes: int, models: int = 1) -> VectorCodec:
+        """How a share is written; of beliefs of several models, all that is not known of it."""
+        if models > 1:
+            stacked = StackedBelief(states, models, number == "<f4")
+            return VectorCodec(packed_length(stacked.size), number, self.what, stacked)
+        form = self.forms.get(number)
+        made = None if form is None else form(states, nodes)
+        return VectorCodec(self.length(states, nodes), number, self.what, made)
+
+    def has(self, number: str) -> bool:
+        """Whether shares of this kind can be written so."""
+        return np.dtype(number).kind == "f" or number in self.forms
+
+
+BELIEFS = ShareKind(
+    "belief",
+    lambda states, _: packed_length(states),
+    {"<f4": lambda states, _: SingleBelief(states), "<u2": lambda states, _: TwoByteBelief(states)},
+)
+INFORMATION_PAIRS = ShareKind(
+    "share",
+    lambda states, _: packed_length(states),
+    {"<u2": lambda states, _: TwoByteInformation(states)},
+)
+HYBRID = ShareKind(
+    "share",
+    lambda states, nodes: 2 * packed_length(states) + nodes,
+    {"<u2": TwoByteHybrid},
+)
+NOVELTIES = ShareKind("share", lambda states, _: packed_length(states))
+NOVELTIES_AND_MEANS = ShareKind("share", lambda states, _: packed_length(states) + states)
 
 
 class Rule(NamedTuple):
@@ -60,3 +129,58 @@ class Rule(NamedTuple):
     def shares_beliefs(self) -> bool:
         """Whether a share is a mean and a covariance."""
         return self.share is BELIEFS
+
+
+AnyRule = LaneRule[Any, Any, Any]
+BuildRule = Callable[[RuleContext], AnyRule]
+NodeRule = TypeVar("NodeRule", bound=AtNode)
+
+
+def once(
+    share: ShareKind,
+    build: BuildRule,
+    batched: Callable[[BatchContext], "BatchedRule"] | None = None,
+    **properties: Any,
+) -> Rule:
+    """A rule that is written once: `build` serves one node and all nodes of many runs.
+
+    `batched` is a faster form for many runs.
+    """
+    at_one = partial(at_node, AtNode, build, share)
+    at_all = batched or partial(in_batch, build, share)
+    return Rule(share, at_one, at_all, **properties)
+
+
+def share_codec(share: ShareKind, context: RuleContext) -> VectorCodec:
+    """How shares of a kind are written."""
+    return share.codec(context.number, context.states, len(context.neighbours), context.models)
+
+
+def at_node(
+    kind: type[NodeRule], build: BuildRule, share: ShareKind, context: NodeContext
+) -> NodeRule:
+    """The estimator of a rule whose shares are vectors of numbers."""
+    rule = build(context.rule)
+    place = Place(np.array(context.node), context.weights)
+    codec = share_codec(share, context.rule)
+    return kind(rule, place, context.model, context.sensor, context.prior, context.filter, codec)
+
+
+def in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> "BatchedRule":
+    """A rule whose shares are vectors of numbers."""
+    # Only here: a node computes without arrays of nodes.
+    from concord.nodes.lanes.batch import InBatch
+
+    rule = build(context.rule)
+    codec = share_codec(share, context.rule)
+    return InBatch(rule, context.filters, context.links, context.base, codec)
+
+
+def averages_in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> "BatchedRule":
+    """The matrix form of a rule whose rounds are averages."""
+    # Only here: a node computes without arrays of nodes.
+    from concord.nodes.lanes.batch import AveragesInBatch
+
+    rule = build(context.rule)
+    codec = share_codec(share, context.rule)
+    return AveragesInBatch(rule, context.filters, context.links, context.base, codec)

@@ -15,9 +15,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.interacting_models import stacked_size
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.scenarios.node_context import BatchContext, RuleContext
-from concord.scenarios.rule_table.estimators import AnyRule, once, share_codec
-from concord.scenarios.rule_table.rule import Rule
-from concord.scenarios.rule_table.share_kinds import BELIEFS
+from concord.scenarios.rule_table.rule import BELIEFS, AnyRule, Rule, once, share_codec
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 

@@ -17,12 +17,14 @@ from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.scenarios.node_context import RuleContext
-from concord.scenarios.rule_table.estimators import AnyRule, averages_in_batch, once
-from concord.scenarios.rule_table.share_kinds import (
+from concord.scenarios.rule_table.rule import (
     HYBRID,
     INFORMATION_PAIRS,
     NOVELTIES,
     NOVELTIES_AND_MEANS,
+    AnyRule,
+    averages_in_batch,
+    once,
 )
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.schedules import FullSchedule

@@ -5,6 +5,9 @@ generated from these declarations (`concord.scenarios.types.declarations`).
 """
 
 import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import msgspec
@@ -96,3 +99,16 @@ class Option(NamedTuple):
         opening = f"[{self.at_least:g}" if self.above is None else f"({self.above:g}"
         closing = f"{self.at_most:g}]" if self.below is None else f"{self.below:g})"
         return f"{even}in {opening}, {closing}"
+
+
+_FLAG = re.compile(r"--([a-z][a-z0-9-]*)")
+
+
+@contextmanager
+def python_words() -> Iterator[None]:
+    """Raise a ValueError with `window_steps` where its message has `--window-steps`."""
+    try:
+        yield
+    except ValueError as error:
+        text = _FLAG.sub(lambda flag: flag[1].replace("-", "_"), str(error))
+        raise ValueError(text) from error

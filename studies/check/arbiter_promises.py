@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.arbitration import NO_BID, Arbiter, ArbiterState, award, begin_arbitration
+from concord.scenarios.bus_table.bus_plan import arbiter_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.user.arbiter import arbiter_named
 from concord.studies.check.promise import Promise, PromiseResult, fault_of, raised
 from concord.studies.check.rule_promises import AGREEMENT
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from concord.plants.oscillator import Draws, GeneratorFor
+from concord.plants.placement import (Draws, GeneratorFor)
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import own_scenario

@@ -10,7 +10,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import cubature, scaled_unscented
-from concord.filters.square_root_filter import SquareRootFilter
+from concord.filters.square_root import SquareRootFilter
 from tests.filters.support import random_belief, random_spd, turn
 
 Matrix = list[list[Fraction]]

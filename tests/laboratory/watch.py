@@ -10,8 +10,7 @@ from concord.features.sets.set_membership import SetAtNode
 from concord.filters.fusion.averaging import Averaged, Fused
 from concord.filters.gaussian import Gaussian, joined
 from concord.nodes.changes import Settings, Standing
-from concord.nodes.earlier_belief import EarlierBelief
-from concord.nodes.estimator import AnyEstimator, Rejected
+from concord.nodes.estimator import AnyEstimator, EarlierBelief, Rejected
 from concord.nodes.messages import Measured
 from concord.nodes.node_state import NodeConfig
 from concord.nodes.rules import information_rounds

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from concord.nodes.commands import in_words
-from concord.nodes.run_controller import Scripted
+from concord.nodes.commands import (Scripted)
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder

@@ -11,11 +11,10 @@ from concord.filters.fusion.averaging import INFORMATION
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.bids import FIRST_BID
 from concord.nodes.messages import Measured
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, BeliefContent, HoldPolicy
-from concord.nodes.rules.lane_rule import Place
+from concord.nodes.rules.lane_rule import FIRST_BID, Place
 from concord.nodes.rules.local_filter import at
 from concord.nodes.vector_codec import BeliefCodec
 from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors

@@ -25,7 +25,7 @@ from concord.nodes.changes import (
     after,
 )
 from concord.nodes.commands import Configure
-from concord.nodes.earlier_belief import EarlierBelief
+from concord.nodes.estimator import EarlierBelief
 from concord.nodes.history import AbsentSteps, Epoch, history_of
 from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from concord.nodes.node import initial_state

@@ -22,7 +22,7 @@ from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
-from concord.scenarios.rule_table import estimators
+from concord.scenarios.rule_table import labelled_rule
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.simulate import simulate
@@ -74,9 +74,9 @@ def test_silence_alone_makes_no_node_suspect():
 
 def _without_silence(setup: Setup, runs: int) -> int:
     """How many runs end with a suspect node 0 if records that are not there do not count."""
-    usual = estimators.WindowFilter
+    usual = labelled_rule.WindowFilter
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimators, "WindowFilter", lambda *given: usual(*given[:4]))
+        patch.setattr(labelled_rule, "WindowFilter", lambda *given: usual(*given[:4]))
         suspect = simulate(setup, range(runs), keep=()).suspect
     assert suspect is not None
     return int(suspect[:, -1, 0].sum())
@@ -120,7 +120,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Setup, Histories
 
     def run(one: type, many: type, **options: Any) -> tuple[Setup, Histories, Trace]:
         for name, kind in losing(one, many).items():
-            monkeypatch.setattr(estimators, name, kind)
+            monkeypatch.setattr(labelled_rule, name, kind)
         setup = ring(**options)
         return setup, simulate(setup, [0]), read_trace(setup, in_memory(setup))
 

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
-from concord.plants.angles import wrapped
 from concord.plants.motion import ConstantVelocity, CoordinatedTurn
 from concord.plants.placement import place_sensors
-from concord.plants.range_bearing import RangeBearing
+from concord.plants.range_bearing import RangeBearing, wrapped
 from concord.plants.targets import Target, straight_target, turning_target
 
 TRACK_START = [500.0, 12.0, 250.0, 0.0, 0.048]

@@ -11,7 +11,7 @@ from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import NodeEvent, ShareHeard, decode, encode, topic
 from concord.nodes.node import initial_state, step
 from concord.nodes.node_state import NodeConfig, Phase
-from concord.runtime.processes.retransmissions import Deduplication, is_missing
+from concord.runtime.processes.republisher import Deduplication, is_missing
 from tests.nodes.networks import SEEDS, Network, networks, run, with_links
 
 Messages = list[tuple[str, bytes]]

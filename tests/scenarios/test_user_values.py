@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from concord.experiments.python_studies import sweep
-from concord.filters.conditioning import condition
 from concord.filters.fusion import averaging
 from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, Residual
-from concord.filters.update import Update
+from concord.filters.update import Update, condition
 from concord.plants.oscillator import POSITION, VELOCITY, Oscillation
 from concord.plants.own_plant import OwnPlant, OwnSensor
 from concord.results.folder import from_copies, keep_copies

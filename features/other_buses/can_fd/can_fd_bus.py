@@ -79,7 +79,7 @@ class CanFdBus(IdentifiedBus):
         return float(self._failed_us(payload_bytes))
 
     def delays_us(self, cycle: Sequence[Transmission], failed: Sequence[int]) -> tuple[float, ...]:
-        """Return the delays of frames by errors (`concord.bus.retransmissions.Retransmits`)."""
+        """Return the delays of frames by errors (`concord.bus.bus.Retransmits`)."""
         found: list[float] = []
         late_us = 0.0
         for frame, tries in zip(cycle, failed, strict=True):

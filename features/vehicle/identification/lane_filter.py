@@ -22,7 +22,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
 from concord.filters.update import Update
-from concord.plants.angles import wrapped
+from concord.plants.range_bearing import wrapped
 
 OUTPUTS = ("yaw_rate", "lateral_acceleration", "side_slip")
 """The sensors of what steering and speed drive."""

@@ -16,7 +16,7 @@ from concord.features.vehicle.plant.network import (
     YAW_RATE,
 )
 from concord.features.vehicle.plant.parameters import SensorSheets
-from concord.plants.angles import wrapped
+from concord.plants.range_bearing import wrapped
 from concord.plants.recorded.channels import ChannelReadings
 
 NOISES_APART = 20.0

@@ -11,7 +11,7 @@ from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.filters.smoother import Backward, backward, backward_affine, smooth
-from concord.filters.square_root_filter import SquareRootFilter
+from concord.filters.square_root import SquareRootFilter
 from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.local_filter import Model, with_state_noise
 

@@ -11,7 +11,8 @@ from concord.nodes.changes import Event, Gone, Present, Settings
 from concord.nodes.commands import Command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import EnvironmentEvent, EnvironmentMessage, Unreachable
-from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
+from concord.nodes.commands import (Scripted)
+from concord.nodes.run_controller import (ProcessStarter, RunController)
 from concord.runtime.processes.environment.notices import (
     Hello,
     Notice,

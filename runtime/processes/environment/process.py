@@ -21,7 +21,7 @@ from concord.nodes.messages import (
     decode,
     encode,
 )
-from concord.nodes.run_controller import Scripted
+from concord.nodes.commands import (Scripted)
 from concord.runtime.network.links import RECORDER, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.environment.decisions import (

@@ -10,8 +10,7 @@ from concord.nodes.node_state import NodeConfig, NodeState
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.counter import Counter
 from concord.runtime.processes.overflow import Overflow
-from concord.runtime.processes.republisher import AGAIN
-from concord.runtime.processes.retransmissions import is_missing
+from concord.runtime.processes.republisher import AGAIN, is_missing
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
 NODE_QUEUE = 1024

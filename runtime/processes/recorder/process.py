@@ -13,8 +13,7 @@ from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.peer_timeout import DepartedPeers
 from concord.runtime.processes.recorder.subscribers import Subscribers
-from concord.runtime.processes.republisher import AGAIN, KEEP
-from concord.runtime.processes.retransmissions import Deduplication
+from concord.runtime.processes.republisher import AGAIN, KEEP, Deduplication
 from concord.runtime.recording import Recorder
 from concord.runtime.whole_steps import WholeSteps
 

@@ -12,11 +12,10 @@ from concord.features.sets.set_shapes import Ellipsoids, Zonotopes
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
-from concord.nodes.bids import FIRST_BID
 from concord.nodes.changes import UNCHANGED
-from concord.nodes.earlier_belief import EarlierBelief
+from concord.nodes.estimator import EarlierBelief
 from concord.nodes.messages import Measured
-from concord.nodes.rules.lane_rule import Place
+from concord.nodes.rules.lane_rule import FIRST_BID, Place
 from concord.nodes.vector_codec import VectorCodec
 from concord.runtime import in_process
 from concord.runtime.in_process import Link

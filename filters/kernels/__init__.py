@@ -1,1 +1,0 @@
-"""A faster way through algebra with small matrices, for many lanes."""

@@ -1,1 +1,0 @@
-"""Entries of this folder (`concord.entries`)."""
