@@ -5,6 +5,8 @@
 The script takes every option of `concord run`, including --dashboard. It stops its processes on
 Ctrl-C, SIGTERM or a crash. Unless options choose a bus, a quarter of the nodes publish in a cycle,
 by urgency, in two bytes a number, and average by the rule `sharp-ci`: the network of `make demo`.
+
+Reason for a file of its own: users start it by its name.
 """
 
 import sys

@@ -2,6 +2,8 @@
 
 A browser draws on a graphics card, or on another computer; here it would draw on the processors
 that are measured. `python -m benchmarks.onlooker URL` looks until it is ended.
+
+Reason for a file of its own: a benchmark starts it as a process.
 """
 
 import sys

@@ -1,4 +1,7 @@
-"""Processor time of processes that run: what they cost, however busy the machine is with others."""
+"""Processor time of processes that run: what they cost, however busy the machine is with others.
+
+Reason for a file of its own: the comparison of two runs imports it without the benchmarks.
+"""
 
 import os
 from collections.abc import Iterable

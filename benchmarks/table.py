@@ -1,4 +1,7 @@
-"""Results of `make bench` as one table."""
+"""Results of `make bench` as one table.
+
+Reason for a file of its own: the comparison of two runs imports it without the benchmarks.
+"""
 
 from benchmarks.measure import BenchmarkFigure, BenchmarkFigures
 

@@ -9,8 +9,7 @@ from typing import Any
 
 from concord.nodes import environment, node
 from concord.nodes.environment_state import EnvironmentPhase
-from concord.nodes.node_state import Phase
-from concord.nodes.transitions import Completion, Transition
+from concord.nodes.node_state import Completion, Phase, Transition
 
 PAGE = Path(__file__).parent / "state_machines.md"
 

@@ -1,4 +1,7 @@
-"""A run over processes from Python: its folder, its results, and the dashboard beside it."""
+"""A run over processes from Python: its folder, its results, and the dashboard beside it.
+
+Reason for a file of its own: it starts processes, which other functions of Python do without.
+"""
 
 from pathlib import Path
 

@@ -6,34 +6,15 @@ The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `l
 
 import difflib
 from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import msgspec
 
 from concord.nodes.bounds import UNREADABLE
-from concord.nodes.changes import Settings
-from concord.nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import NamedTuple
-from concord.nodes import environment, environment_changes
 from concord.nodes.changes import (
-    Calm,
-    Change,
-    Cut,
-    Event,
-    Fault,
-    Healed,
-    Joined,
-    Left,
-    Loss,
-    PaceChange,
     Settings,
-    Standing,
 )
-from concord.nodes.command_checks import check_command
-from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
-from concord.nodes.faults.vocabulary import FAULTS
-from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage, Estimate
+from concord.nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 65_536
 
@@ -251,7 +232,6 @@ def _fault(given: Sequence[str], both: bool) -> Inject:
     if len(values) != numbers or half_a_link or not (both or named_link):
         raise ValueError(given)
     return Inject(kind, tuple(map(int, nodes)), tuple(map(float, values)), both)
-
 
 
 class Scripted(NamedTuple):

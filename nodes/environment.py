@@ -33,7 +33,7 @@ from concord.nodes.messages import (
     to_wire,
 )
 from concord.nodes.node import contenders_left
-from concord.nodes.transitions import Transition
+from concord.nodes.node_state import Transition
 
 # A float64 holds every whole number up to here.
 _LARGEST_BID = 2**53

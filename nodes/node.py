@@ -57,8 +57,16 @@ from concord.nodes.messages import (
     ShareSent,
     to_wire,
 )
-from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
-from concord.nodes.transitions import Completion, Transition
+from concord.nodes.node_state import (
+    Completion,
+    Inbox,
+    NodeConfig,
+    NodeState,
+    Phase,
+    Transition,
+    count,
+    counted,
+)
 
 # The page shows two; a weight is not computed with.
 _WEIGHT_DECIMALS = 4

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -157,3 +157,28 @@ def counted(counters: dict[str, int], *names: str) -> dict[str, int]:
     for name in names:
         counters[name] = counters.get(name, 0) + 1
     return counters
+
+
+State = TypeVar("State")
+PhaseT = TypeVar("PhaseT", bound=Enum)
+
+
+class Transition(NamedTuple, Generic[State, PhaseT]):
+    """An event in a phase: `handle(config, state, event, outbox)` returns the next state.
+
+    The next state is in one of the phases `leads_to`.
+    """
+
+    handle: Callable[..., State]
+    leads_to: tuple[PhaseT, ...]
+
+
+class Completion(NamedTuple, Generic[State, PhaseT]):
+    """A transition without an event of its own: it happens as soon as `is_due(config, state)`.
+
+    `go_on(config, state, outbox)` returns the next state, in one of the phases `leads_to`.
+    """
+
+    is_due: Callable[..., bool]
+    go_on: Callable[..., State]
+    leads_to: tuple[PhaseT, ...]

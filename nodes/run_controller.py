@@ -39,6 +39,7 @@ from concord.nodes.commands import (
     Pause,
     Restart,
     Resume,
+    Scripted,
     Soothe,
     Speed,
     Step,
@@ -46,9 +47,6 @@ from concord.nodes.commands import (
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.faults.vocabulary import FAULTS
 from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage, Estimate
-from concord.nodes.commands import Scripted
-
-
 
 
 class ProcessStarter(NamedTuple):

@@ -21,7 +21,7 @@ from concord.papers.kit.report import (
     write_report,
 )
 from concord.results.folder import new_folder
-from concord.runtime.failure import RunFailed
+from concord.runtime.disk import RunFailed
 from concord.studies.sweep.workers import WorkerLost
 from concord.topology.names import unknown_name
 

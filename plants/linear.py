@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.plants.placement import (Draws, GeneratorFor, standard_draws)
+from concord.plants.placement import Draws, GeneratorFor, standard_draws
 
 Signal = Callable[[int], np.ndarray]
 

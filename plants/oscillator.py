@@ -3,7 +3,6 @@
 x'' = -w^2 x - g x' + white noise. It starts in its stationary law, which is also the prior.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -17,12 +16,7 @@ from concord.plants.damped_oscillation import (
     stationary_cov,
 )
 from concord.plants.motion import require_positive
-from concord.plants.placement import GeneratorFor, Draws, standard_draws
-
-
-
-
-
+from concord.plants.placement import Draws, GeneratorFor, standard_draws
 
 
 class Output(NamedTuple):

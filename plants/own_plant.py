@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.plants.placement import (Draws, GeneratorFor, standard_draws)
+from concord.plants.placement import Draws, GeneratorFor, standard_draws
 
 # Leading axes with which a function is tried before anything starts.
 _TRIED = (3, 2)

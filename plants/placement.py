@@ -1,26 +1,15 @@
 """Where to put sensors so that their radios form one network, and sites as one word."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from concord.plants.motion import require_positive
 from concord.plants.range_bearing import Moves
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import NamedTuple
-import numpy as np
-from numpy.typing import NDArray
-from concord.plants.damped_oscillation import (
-    oscillation_noise_cov,
-    oscillation_transition,
-    stationary_cov,
-)
-from concord.plants.motion import require_positive
 
 GeneratorFor = Callable[[str, int], np.random.Generator]
 """The stream of a purpose ("initial", "process", "measurement") and a node."""

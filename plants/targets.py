@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion, require_positive
-from concord.plants.placement import (Draws, GeneratorFor, standard_draws)
+from concord.plants.placement import Draws, GeneratorFor, standard_draws
 from concord.plants.range_bearing import Moves, RangeBearing, wrapped
 
 

@@ -5,7 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from concord.runtime.failure import RunFailed
+
+class RunFailed(Exception):
+    """A failure whose message the command line prints before it ends with exit code 1."""
 
 
 class NotWritten(RunFailed):

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concord.nodes import node as state_machine
 from concord.nodes import node_changes
 from concord.nodes.changes import Event, Gone, Settings, Welcome
+from concord.nodes.commands import Scripted
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import (
     CycleClosed,
@@ -27,8 +28,7 @@ from concord.nodes.messages import (
     topic,
 )
 from concord.nodes.node_state import NodeConfig, NodeState, Phase
-from concord.nodes.commands import (Scripted)
-from concord.nodes.run_controller import (ProcessStarter, RunController)
+from concord.nodes.run_controller import ProcessStarter, RunController
 from concord.runtime.recording import Recorder
 
 ENVIRONMENT = -1

@@ -8,12 +8,10 @@ import numpy as np
 from concord.entries import entries, member
 from concord.scenarios.types.assignment import assigned, refuse_left
 from concord.scenarios.types.buses import FlexRay, SharedBus, UserBus
-from concord.scenarios.types.choices import choice_of
-from concord.scenarios.types.declarations import every_option
+from concord.scenarios.types.declarations import choice_of, every_option
 from concord.scenarios.types.filters import FilterBase, UnscentedFilter, UserFilter
-from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option, python_words
-from concord.scenarios.types.plants import SensedPlantChoice, UserPlant
+from concord.scenarios.types.plants import SensedPlantChoice, SensorNetwork, UserPlant
 from concord.scenarios.types.rules import (
     AverageRule,
     CovarianceIntersection,

@@ -13,12 +13,12 @@ from concord.nodes.commands import (
     Pause,
     Restart,
     Resume,
+    Scripted,
     Speed,
     Step,
     in_words,
 )
 from concord.nodes.faults.active import Equipment
-from concord.nodes.commands import (Scripted)
 from concord.scenarios.scenario import Scenario
 
 _FILE = "file:"

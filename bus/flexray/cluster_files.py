@@ -12,10 +12,9 @@ from typing import NamedTuple
 import msgspec
 
 from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
-from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster import PARAMETERS, Cluster, ClusterError
 from concord.bus.flexray.cluster_parameters import ClockParameters
-from concord.bus.flexray.constraints import PARAMETERS
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.entries import chosen, entries
 
 _OTHER_NAMES = {

@@ -15,15 +15,14 @@ from concord.bus.flexray.channels.counters import SlotCounters
 from concord.bus.flexray.channels.plan import ChannelPlan
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cut_shares import SentFrames, sent_frames
-from concord.bus.flexray.dynamic_segment import Request
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot, Request
 from concord.bus.flexray.publication import Publications, SyncNode, sync_nodes_of
-from concord.bus.flexray.relay import check_relay
 from concord.bus.flexray.share_frames import null_frame, payload_lengths
 from concord.bus.flexray.slot_table import SlotTable, allocate
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
     bus_load,
+    check_relay,
     check_timing,
     fusion_delay_us,
     segments,
@@ -72,12 +71,9 @@ class FlexRayBus(SlottedBus):
 
     @property
     def clock_precision_us(self) -> float:
-        """The smaller action point offset: both are as far from the edge of their slot as clocks
-        may be apart."""
-        offsets = [self.cluster.action_point_us]
-        if self.cluster.minislots:
-            offsets.append(self.cluster.minislot_action_point_us)
-        return min(offsets)
+        """The smaller action point offset: clocks may be apart by it."""
+        minislot = [self.cluster.minislot_action_point_us] if self.cluster.minislots else []
+        return min([self.cluster.action_point_us, *minislot])
 
     @property
     def sync_nodes(self) -> tuple[int, ...]:

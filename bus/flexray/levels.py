@@ -8,9 +8,8 @@ import math
 from collections.abc import Callable, Iterator
 
 from concord.bus.flexray.clock_constraints import offset_correction_macroticks
-from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster import SAMPLES_PER_BIT, Cluster
 from concord.bus.flexray.cluster_parameters import CLOCK_DEVIATION
-from concord.bus.flexray.constraints import SAMPLES_PER_BIT
 
 _USUAL_DAMPING_MICROTICKS = 1
 _MICROTICKS_PER_CYCLE_3_0 = 960

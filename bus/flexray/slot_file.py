@@ -14,8 +14,8 @@ import msgspec
 
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.cluster_files import ClusterFileFormat
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.frame import MAX_FRAME_ID
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.slot_table import REPETITIONS
 from concord.entries import chosen, entries
 

@@ -10,8 +10,8 @@ from math import lcm
 
 from concord.bus.arbitration import ONE_CLASS, Arbiter
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.flexray_bus import FlexRayBus
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.share_frames import payload_lengths
 from concord.bus.flexray.slot_table import SlotAssignment, SlotTable, check_reachable, deviations
 from concord.bus.schedule import Schedule

@@ -14,7 +14,7 @@ from concord.entries import chosen, entries
 from concord.experiments.repeated_options import refuse_repeated
 from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
-from concord.runtime.failure import RunFailed
+from concord.runtime.disk import RunFailed
 from concord.topology.names import unknown_name
 
 

@@ -28,8 +28,8 @@ from concord.results.folder import (
 from concord.results.places import new_name
 from concord.results.run_results import Captures, check_captures, completed
 from concord.results.smoothing import check_smoothing
+from concord.runtime.disk import RunFailed
 from concord.runtime.drivers import DRIVERS, RunPace, over_processes
-from concord.runtime.failure import RunFailed
 from concord.runtime.network.links import names, ports_from
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import require

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from concord.plants.linear import LinearPlant
-from concord.plants.placement import (Draws)
+from concord.plants.placement import Draws
 
 
 class Controller(Protocol):

@@ -29,7 +29,7 @@ from concord.scenarios.definitions.closed_loop import OPEN, check_control, contr
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 AnyControlled = CruiseControl | Suspension | AircraftPitch | MotorSpeed | MotorPosition
 

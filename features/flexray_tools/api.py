@@ -14,13 +14,12 @@ from concord.bus.flexray.cluster_files import (
     cluster_to_toml,
     read_cluster_file,
 )
-from concord.bus.flexray.dynamic_segment import Request, Walk, walk
+from concord.bus.flexray.dynamic_segment import MessageSlot, Request, Walk, walk
 from concord.bus.flexray.frame import Frame, FrameError, Inspection
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
 from concord.bus.flexray.frame import inspect as inspect_frame
 from concord.bus.flexray.levels import broken_rules, precision_us
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import preset
 from concord.bus.flexray.slot_file import read_slot_file, slots_from_toml, slots_to_toml
 from concord.bus.flexray.timing import segments

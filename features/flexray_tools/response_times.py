@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 
 MOST_FILLED_CYCLES = 256
 MOST_EXACT_VARIABLES = 200

@@ -12,7 +12,7 @@ from math import ceil, inf
 import numpy as np
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.response_times import is_alternative
 
 _LATE_CHANCE, _LATE_PERIODS = 0.3, 0.3

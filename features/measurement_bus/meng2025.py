@@ -23,7 +23,7 @@ from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 

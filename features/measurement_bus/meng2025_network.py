@@ -20,7 +20,7 @@ from concord.features.measurement_bus.stochastic_models import SystemModel, Syst
 from concord.nodes.environment_state import Delivery
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 
 @cache

@@ -24,8 +24,7 @@ from concord.scenarios.definitions.own import own_score, user_definition
 from concord.scenarios.scenario import BusChoice, Scenario
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.filters import FilterBase
-from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.types.plants import SensorNetwork, UserPlant
 from concord.scenarios.user.values import kept_source
 
 BidWeights = Sequence[ArrayLike] | Callable[[int], Sequence[ArrayLike]]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.features.measurement_bus.stochastic import StochasticSystem
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 
 SHARED = "shared measurement"
 

@@ -12,7 +12,7 @@ import numpy as np
 from concord.features.recorded.confined_motion import ConfinedMotion
 from concord.features.recorded.mrclam_files import Recording
 from concord.features.recorded.sighting import Sighting
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 
 STAMP_DELAY_S = 0.045  # a measurement is stamped so much after its picture
 GAP_MAX_S = 0.5  # between samples of ground truth that may be interpolated

@@ -10,7 +10,7 @@ from concord.features.recorded.options import RecordedRobots
 from concord.features.recorded.sighting import Sighting
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 DATA_VARIABLE = "CONCORD_MRCLAM"
 _NODES = 4

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.features.sets.bounded import BoundedSystem
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 
 _NO_NOISE = np.zeros(1)
 

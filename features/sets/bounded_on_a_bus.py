@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.features.sets.bounded import BoundedSystem
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 
 
 @dataclass(frozen=True, eq=False)

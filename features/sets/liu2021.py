@@ -22,7 +22,7 @@ from concord.features.sets.options import BoundedReceiver, EllipsoidReceiver
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 _ALL_STATES = tuple(range(liu2021.STATES))
 

@@ -14,7 +14,7 @@ from concord.features.sets.options import EllipsoidIntersection, UnstableBounded
 from concord.scenarios.definitions.closed_loop import OPEN, check_control, controlled
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 _STEPS = 1000
 

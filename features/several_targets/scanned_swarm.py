@@ -8,7 +8,7 @@ import numpy as np
 
 from concord.features.several_targets.scanning import ScanningSensor
 from concord.features.several_targets.swarm import Swarm
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 
 TARGET_STATES = 4
 PLACES = slice(0, None, 2)

@@ -17,7 +17,7 @@ from concord.scenarios.definitions.target_tracking import RADIO_RANGE_M
 from concord.scenarios.scenario import Scenario, require
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.filters import InteractingMultipleModels, UnscentedFilter
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 from concord.scenarios.types.rules import MeasurementFlooding
 
 # Birth and the first confirmation of the targets that are there from the start.

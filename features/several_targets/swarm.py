@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.plants.motion import CoordinatedTurn, require_positive
-from concord.plants.placement import (GeneratorFor)
+from concord.plants.placement import GeneratorFor
 
 MANOEUVRE_EVERY_STEPS = 20
 FASTEST_TURN_RAD_S = 0.1

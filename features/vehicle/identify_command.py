@@ -16,7 +16,6 @@ from concord.experiments.user_errors import user_errors
 from concord.features.vehicle.identification.findings import findings_of, in_words, table_of
 from concord.features.vehicle.identification.fit import MOST_STEPS, CarFit, fit
 from concord.features.vehicle.identification.slip_reference import slip_reference
-from concord.features.vehicle.identification.telling_part import telling_part
 from concord.features.vehicle.plant.corrections import corrected, with_true_wheels
 from concord.features.vehicle.plant.drive import Drive
 from concord.features.vehicle.plant.drive_log import (
@@ -42,11 +41,32 @@ from concord.features.vehicle.plant.tyre_identification import (
 )
 from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.features.vehicle.scenario import TIME_STEP_S
-from concord.plants.recorded.channels import ChannelReadings
+from concord.plants.recorded.channels import ChannelReadings, readings_between
 from concord.results.places import make_folder
 from concord.runtime.disk import writing
 from concord.studies.progress import progress
 from concord.topology.names import unknown_name
+
+
+def telling_part(
+    channels: Mapping[str, ChannelReadings], longest_s: float
+) -> tuple[Mapping[str, ChannelReadings], float]:
+    """The channels in the `longest_s` in which the car corners most while steering and speed are
+    known, and when these begin, in s from the first reading; all of them in a shorter drive."""
+    drive = even_drive(channels)
+    if drive.time_step_s * drive.steps <= longest_s:
+        return channels, 0.0
+    known = np.isfinite(drive.steering_rad)
+    cornering = np.nan_to_num(np.square(drive.yaw_rate_rad_s * drive.speed_m_s)) * known
+    sums = np.concatenate([[0.0], np.cumsum(cornering)])
+    width = round(longest_s / drive.time_step_s)
+    within = sums[width:] - sums[:-width]
+    if not within.any():
+        return channels, 0.0
+    after_s = drive.time_step_s * float(within.argmax())
+    start_s = min(one.stamps_s[0] for one in channels.values() if len(one.values)) + after_s
+    return readings_between(channels, start_s, start_s + longest_s), after_s
+
 
 _TYRES = {"linear": linear_tyre, "saturating": tanh_tyre}
 _SIMULATED_STEP_S = 0.01

@@ -1,4 +1,7 @@
-"""Filters that learn the noise of their sensors, and one that resists outliers."""
+"""Filters that learn the noise of their sensors, and one that resists outliers.
+
+Reason for a file of its own: entries name it.
+"""
 
 from concord.features.vehicle.adaptive.adaptive_filter import AdaptiveFilter
 from concord.features.vehicle.adaptive.correntropy import CorrentropyFilter

@@ -46,7 +46,7 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation, ScenarioDefinition, Score
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 from concord.topology.names import unknown_name
 

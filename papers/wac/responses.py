@@ -32,7 +32,7 @@ from concord.nodes.rules.local_filter import (
 )
 from concord.nodes.vector_codec import BeliefCodec
 from concord.plants.linear import LinearPlant, LinearSensor, Signal
-from concord.plants.placement import (Draws, standard_draws)
+from concord.plants.placement import Draws, standard_draws
 from concord.studies.progress import progress
 from concord.topology.adjacency import neighbours_of
 from concord.topology.graphs import ring

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 from concord.nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
 from concord.nodes.command_checks import check_command
-from concord.nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart
-from concord.nodes.commands import (Scripted)
-from concord.nodes.run_controller import (link_changes)
+from concord.nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart, Scripted
+from concord.nodes.run_controller import link_changes
 
 
 class ScriptedChange(NamedTuple):

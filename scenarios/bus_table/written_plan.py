@@ -6,7 +6,7 @@ from pathlib import Path
 
 from concord.bus.bus import Bus
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.presets import PRESETS
 from concord.bus.flexray.slot_file import read_slot_file
 from concord.bus.flexray.written_slots import written_bus, written_schedule

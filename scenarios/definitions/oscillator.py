@@ -8,8 +8,7 @@ from functools import cache
 from concord.plants.oscillator import Oscillation, Oscillator
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import DampedOscillator
+from concord.scenarios.types.plants import DampedOscillator, SensorNetwork
 
 DEFAULTS = Scenario(
     plant=DampedOscillator(), network=SensorNetwork(nodes=8, graph="ring"), steps=200

@@ -8,9 +8,8 @@ import msgspec
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Choice
-from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.types.plants import SensorNetwork, UserPlant
 from concord.scenarios.user.values import (
     FromFile,
     ValueSource,

@@ -12,8 +12,12 @@ from concord.plants.range_bearing import RangeBearing
 from concord.plants.targets import Target, straight_target, turning_target
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import PlacedSensors, TargetCrossing, TargetTracking
+from concord.scenarios.types.plants import (
+    PlacedSensors,
+    SensorNetwork,
+    TargetCrossing,
+    TargetTracking,
+)
 
 RADIO_RANGE_M = 330.0
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from concord.scenarios.types.choices import choice_of
+from concord.scenarios.types.declarations import choice_of
 from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.types.schedules import (
     BusSchedule,

@@ -3,11 +3,13 @@
 import types
 import typing
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, reduce
+from operator import or_
 from typing import Any, NamedTuple
 
 import msgspec
 
+from concord.entries import entries, member
 from concord.scenarios.types.option import USER, Option, name_of
 
 
@@ -110,3 +112,30 @@ def _choices(annotation: Any) -> tuple[type[msgspec.Struct], ...]:
     if all(isinstance(kind, type) and issubclass(kind, msgspec.Struct) for kind in kinds):
         return tuple(kinds)
     return ()
+
+
+def choice_of(
+    kind: str,
+    *others: type[msgspec.Struct],
+    base: type[msgspec.Struct] | None = None,
+) -> Any:
+    """Return the union of the option classes of a kind's entries and of `others`.
+
+    An entry without options gets a class of its own below `base`.
+
+    Raises:
+        ValueError: an entry without options, of a kind without a base.
+    """
+    found: list[type[msgspec.Struct]] = []
+    for name, entry in entries(kind).items():
+        if entry.options:
+            found.append(member(entry.options))
+        elif base is not None:
+            made = msgspec.defstruct(
+                name, [], bases=(base,), tag=name, frozen=True, kw_only=True,
+                namespace={"__doc__": entry.summary},
+            )  # fmt: skip
+            found.append(made)
+        else:
+            raise ValueError(f"{kind.lower()} {name!r}: its entry names no options; add them")
+    return reduce(or_, (*found, *others))

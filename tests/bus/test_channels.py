@@ -12,9 +12,9 @@ from concord.bus.arbitration import ARBITERS, begin_arbitration
 from concord.bus.bus import Rejected
 from concord.bus.flexray.channels.plan import CHANNEL_PLANS, channel_plan, static_places
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import payload_lengths, read_frame
 from concord.bus.flexray.written_slots import message_slots, written_bus, written_schedule

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.constraints import PARAMETERS
+from concord.bus.flexray.cluster import PARAMETERS, Cluster
 from concord.bus.flexray.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
 from tests.bus.support import broken, clusters, quick
 

@@ -6,9 +6,13 @@ import msgspec
 import pytest
 
 from concord.bus.flexray.fitted import fitted_cluster
-from concord.bus.flexray.relay import check_relay, least_gap_us
 from concord.bus.flexray.slot_table import allocate
-from concord.bus.flexray.timing import dynamic_transmissions, static_transmissions
+from concord.bus.flexray.timing import (
+    check_relay,
+    dynamic_transmissions,
+    least_gap_us,
+    static_transmissions,
+)
 from concord.bus.schedule import Group, dynamic_only, full_publish, hybrid
 
 PAYLOADS = (40,)

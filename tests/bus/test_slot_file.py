@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.presets import AUDI
 from concord.bus.flexray.slot_file import SlotFileError, read_slot_file, slots_to_toml
 from tests.bus.support import quick

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from concord.bus.arbitration import ARBITERS
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.dynamic_segment import MessageSlot, Request, walk
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import AUDI, BOSCH
 from concord.bus.flexray.written_slots import message_slots, written_bus, written_schedule
 from concord.bus.schedule import full_publish, hybrid, round_robin

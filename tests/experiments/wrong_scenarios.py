@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from concord.plants.placement import (Draws, GeneratorFor)
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth
+from concord.plants.placement import Draws, GeneratorFor
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import own_scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition

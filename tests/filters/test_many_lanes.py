@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from concord.filters import ukf
-from concord.filters.gaussian import Gaussian
 from concord.filters.columns import MANY_LANES
+from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, factor_and_inverse, inverse_of_triangle, solve_spd
 from tests.filters.support import bearing_residual, random_belief, random_spd, rules
 

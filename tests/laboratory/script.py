@@ -18,12 +18,12 @@ from concord.nodes.commands import (
     LoseFrames,
     Partition,
     Restart,
+    Scripted,
     Soothe,
     in_words,
 )
 from concord.nodes.faults.active import Equipment
 from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
-from concord.nodes.commands import (Scripted)
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_plan import arbiter_names, build_schedule
 from concord.scenarios.equipment import equipment_of

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from concord.nodes.commands import in_words
-from concord.nodes.commands import (Scripted)
+from concord.nodes.commands import Scripted, in_words
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder

@@ -23,8 +23,8 @@ from concord.papers.wac.exact_covariance import (
     propagate,
 )
 from concord.papers.wac.exact_rules import RULES
-from concord.plants.placement import (Draws)
-from concord.plants.oscillator import (Oscillator)
+from concord.plants.oscillator import Oscillator
+from concord.plants.placement import Draws
 from concord.results.records.trace import read_trace
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import pytest
 
 from concord.nodes.changes import Gone
-from concord.nodes.commands import Kill, Restart, Speed
+from concord.nodes.commands import Kill, Restart, Scripted, Speed
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
-from concord.nodes.commands import (Scripted)
 from concord.nodes.tempo import Tempo
 from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.processes import republisher as said

@@ -8,8 +8,13 @@ from numpy.typing import NDArray
 
 from concord.bus.bus import Transmission
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import Request, frame_payloads, requests_of, walk
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import (
+    MessageSlot,
+    Request,
+    frame_payloads,
+    requests_of,
+    walk,
+)
 from concord.bus.flexray.slot_table import SlotTable
 from concord.bus.flexray.timing import dynamic_transmissions
 

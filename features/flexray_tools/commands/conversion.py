@@ -10,7 +10,7 @@ import tyro
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import cluster_to_toml, file_endings
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.slot_file import SlotFileError, read_slot_file, slots_to_toml
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster, write_new

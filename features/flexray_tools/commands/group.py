@@ -1,4 +1,7 @@
-"""`concord flexray`: recordings, clusters and plans of a FlexRay bus."""
+"""`concord flexray`: recordings, clusters and plans of a FlexRay bus.
+
+Reason for a file of its own: an entry names it.
+"""
 
 from concord.features.flexray_tools.commands.clock_runs import clocks
 from concord.features.flexray_tools.commands.clusters import validate

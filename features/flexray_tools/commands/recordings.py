@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.bus import Captured
+from concord.bus.flexray.cluster import BIT_RATES_MBPS
 from concord.bus.flexray.cluster_files import cluster_to_toml
-from concord.bus.flexray.constraints import BIT_RATES_MBPS
 from concord.bus.flexray.slot_file import slots_to_toml
 from concord.bus.pcap import CapturedSymbol, write_pcap
 from concord.experiments.user_errors import user_errors

@@ -13,7 +13,7 @@ import tyro
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.share_frames import payload_lengths
 from concord.bus.flexray.slot_file import checked_slots, slots_to_toml
 from concord.experiments.scenario_flags import ScenarioFlags, resolved

@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple, cast
 
-from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster import MICROTICKS_US, Cluster, ClusterError
 from concord.bus.flexray.cluster_parameters import Channels
-from concord.bus.flexray.constraints import MICROTICKS_US
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     Element,

@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import ClusterFileFormat
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.files.exchange import (
     Format,
     ecu_name,

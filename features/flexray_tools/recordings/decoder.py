@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.flexray.cluster import BIT_RATES_MBPS
 from concord.bus.flexray.cluster_parameters import Segment
-from concord.bus.flexray.constraints import BIT_RATES_MBPS
 from concord.bus.flexray.frame import (
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,

@@ -8,8 +8,8 @@ import numpy as np
 
 from concord.bus.flexray.clock_constraints import offset_correction_macroticks
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.levels import precision_us
-from concord.bus.flexray.message_slot import MessageSlot
 from concord.features.flexray_tools.recordings.decoder import DecodedFrame, Decoding
 from concord.features.flexray_tools.recordings.fit import Fit
 from concord.features.flexray_tools.recordings.waveform import WaveformError

@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.slot_file import checked_slots
 from concord.features.flexray_tools.slot_design.demand import Demand, Item, items_of
 from concord.features.flexray_tools.slot_design.programme import (

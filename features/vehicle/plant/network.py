@@ -16,7 +16,7 @@ from concord.features.vehicle.plant.drive import FRONT_LEFT, REAR_LEFT, Drive
 from concord.features.vehicle.plant.model import SingleTrack
 from concord.features.vehicle.plant.parameters import Car, SensorSheet
 from concord.features.vehicle.plant.sensors import SensorError, contaminated, noise_std
-from concord.plants.placement import (Draws, GeneratorFor)
+from concord.plants.placement import Draws, GeneratorFor
 from concord.plants.range_bearing import wrapped
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")

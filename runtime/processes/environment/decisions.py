@@ -8,11 +8,10 @@ from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 from concord.nodes.changes import Event, Gone, Present, Settings
-from concord.nodes.commands import Command
+from concord.nodes.commands import Command, Scripted
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import EnvironmentEvent, EnvironmentMessage, Unreachable
-from concord.nodes.commands import (Scripted)
-from concord.nodes.run_controller import (ProcessStarter, RunController)
+from concord.nodes.run_controller import ProcessStarter, RunController
 from concord.runtime.processes.environment.notices import (
     Hello,
     Notice,

@@ -11,7 +11,6 @@ from concord.nodes.bounds import node_of
 from concord.nodes.commands import Answer
 from concord.nodes.messages import END, MalformedMessage, Unreachable, decode
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.counter import Counter
 from concord.runtime.processes.environment.notices import (
     Asked,
     Hello,
@@ -19,7 +18,7 @@ from concord.runtime.processes.environment.notices import (
     RecorderCaughtUp,
     Repeated,
 )
-from concord.runtime.processes.overflow import Overflow
+from concord.runtime.processes.overflow import Counter, Overflow
 from concord.runtime.processes.republisher import AGAIN
 
 ENVIRONMENT_QUEUE = 8192

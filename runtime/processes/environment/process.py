@@ -12,7 +12,7 @@ import msgspec
 from concord.nodes import environment
 from concord.nodes.bounds import node_of
 from concord.nodes.changes import Gone, Settings
-from concord.nodes.commands import Answer, Kill, Restart, read_command
+from concord.nodes.commands import Answer, Kill, Restart, Scripted, read_command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import (
     BidsClosed,
@@ -21,7 +21,6 @@ from concord.nodes.messages import (
     decode,
     encode,
 )
-from concord.nodes.commands import (Scripted)
 from concord.runtime.network.links import RECORDER, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.environment.decisions import (

@@ -8,8 +8,7 @@ from concord.nodes.changes import Gone, Welcome
 from concord.nodes.messages import END, MalformedMessage, NodeEvent, ShareHeard, decode
 from concord.nodes.node_state import NodeConfig, NodeState
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.counter import Counter
-from concord.runtime.processes.overflow import Overflow
+from concord.runtime.processes.overflow import Counter, Overflow
 from concord.runtime.processes.republisher import AGAIN, is_missing
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.

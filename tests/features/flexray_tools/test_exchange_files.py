@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from concord.bus.flexray.slot_file import SlotFileError, checked_slots, read_slot_file
 from concord.features.flexray_tools.files.arxml import WITHOUT_ELEMENT as NOT_IN_ARXML

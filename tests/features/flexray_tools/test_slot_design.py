@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.features.flexray_tools.response_times import ResponseTimes
 from concord.features.flexray_tools.slot_design.demand import (

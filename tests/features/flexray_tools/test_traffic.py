@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.traffic import worst_responses
 from tests.features.flexray_tools.test_response_times import (
     CROWDED,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from concord.features.vehicle.identification.telling_part import telling_part
+from concord.features.vehicle.identify_command import telling_part
 from concord.plants.recorded.channels import ChannelReadings
 
 STAMPS_S = 100.0 + 0.02 * np.arange(10_000)

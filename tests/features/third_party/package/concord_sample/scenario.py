@@ -3,7 +3,7 @@
 from concord.scenarios.definitions import oscillator
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
-from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import SensorNetwork
 
 from .options import ShortOscillator
 
