@@ -11,13 +11,12 @@ import numpy as np
 from concord.dashboard.sweeps.swept import CellQuantity, SweptCells
 from concord.experiments.page_options import PageOptions
 from concord.results.folder import (
-    DESCRIPTION,
-    RECORDING,
     describe,
     read_description,
     read_description_file,
     write_description,
 )
+from concord.results.records.netcdf_file import DESCRIPTION, RECORDING
 from concord.runtime.drivers import in_this_process
 from concord.scenarios.preparation import prepare
 from concord.studies.sweep.cell_data import CellData

@@ -6,7 +6,8 @@ Reason for a file of its own: it starts processes, which other functions of Pyth
 from pathlib import Path
 
 from concord.experiments.page_process import PageProcess
-from concord.results.folder import RECORDING, describe, new_folder, write_description
+from concord.results.folder import describe, new_folder, write_description
+from concord.results.records.netcdf_file import RECORDING
 from concord.results.run_results import completed, write_results
 from concord.runtime.drivers import over_processes
 from concord.scenarios.setup import Setup

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from concord.results.folder import ARRAYS
 from concord.results.records.histories_file import histories_dataset
-from concord.results.records.netcdf_file import open_dataset
+from concord.results.records.netcdf_file import ARRAYS, open_dataset
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of

@@ -20,9 +20,9 @@ from concord.results.innovations.of_run import (
 )
 from concord.results.places import new_name
 from concord.results.records.extras import run_extras
-from concord.results.records.netcdf_file import write_dataset
+from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
 from concord.results.records.record_spread import record_ages
-from concord.results.records.trace import Past, Trace
+from concord.results.records.trace import Trace
 from concord.runtime.json_file import read_json, write_json
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.rule_table.rules import is_set_valued
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 import shutil
 
+from concord.results.records.netcdf_file import ARRAYS, optional_variables, state_coordinates
 from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.option import Choice
@@ -89,7 +90,6 @@ def _copy(folder: Path, source: ValueSource) -> Path:
 
 BATCHED = "batched"
 """The driver whose folder holds many runs and no recording."""
-RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
 NODE_CAPTURE = "bus_node_{}.pcap"
 _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
@@ -278,36 +278,6 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
         commit=description.commit or "unknown",
     )
     write_dataset(dataset, folder / ARRAYS)
-
-
-def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
-    """Return the coordinates of steps and of the plant's states."""
-    plant = definition_of(setup.scenario).plant(setup.scenario)
-    return {
-        "step": np.arange(steps),
-        "time": ("step", np.arange(steps) * setup.time_step_s, {"units": "s"}),
-        "state": list(plant.state_names),
-        "state_unit": ("state", list(plant.state_units)),
-    }
-
-
-def optional_variables(
-    before: tuple[str, ...],
-    control: np.ndarray | None,
-    suspect: np.ndarray | None,
-    past: Past | None,
-) -> dict[str, Any]:
-    """Return what not every run has as variables, whose first axes are those `before`."""
-    found: dict[str, Any] = {}
-    if control is not None:
-        found["control"] = ((*before, "input"), control)
-    if suspect is not None:
-        found["suspect"] = ((*before, "node"), suspect.astype(np.int8))
-    if past is not None:
-        axes = (*before, "lag", "node", "state")
-        found |= {"smoothed_mean": (axes, past.mean), "smoothed_std": (axes, past.std)}
-        found["lag"] = (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"})
-    return found
 
 
 def _meaning(setup: Setup) -> dict[str, str]:

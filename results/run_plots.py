@@ -9,11 +9,11 @@ import numpy as np
 from concord.filters.metrics import mean_of_known, rmse
 from concord.results.figures.network_errors import scored_steps
 from concord.results.figures.smoothed_errors import smoothed_errors
-from concord.results.folder import ARRAYS, Description, read_description
+from concord.results.folder import Description, read_description
 from concord.results.innovations.plots import innovation_figure
 from concord.results.network_map import Mapped, network_maps
 from concord.results.palette import COLOURS, GREY
-from concord.results.records.netcdf_file import read_dataset
+from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.results.records.trace import Past
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of

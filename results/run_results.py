@@ -8,15 +8,9 @@ import msgspec
 from concord.bus.pcap import FLEXRAY_LINK, write_pcap
 from concord.results.bus.bus_capture import capture, check_all_cycles, traffic_of
 from concord.results.bus.node_capture import node_capture
-from concord.results.folder import (
-    CAPTURE,
-    NODE_CAPTURE,
-    RECORDING,
-    Description,
-    recording_of,
-    write_arrays,
-)
+from concord.results.folder import NODE_CAPTURE, Description, recording_of, write_arrays
 from concord.results.innovations.of_run import RunInnovations
+from concord.results.records.netcdf_file import CAPTURE, RECORDING
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording

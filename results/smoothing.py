@@ -13,8 +13,8 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import mean_of_known, rmse
 from concord.results.figures.network_errors import outside_steps
-from concord.results.folder import Description, state_coordinates
-from concord.results.records.netcdf_file import write_dataset
+from concord.results.folder import Description
+from concord.results.records.netcdf_file import state_coordinates, write_dataset
 from concord.results.records.trace import Trace
 from concord.scenarios.baselines import (
     centralised,

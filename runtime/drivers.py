@@ -10,7 +10,6 @@ from typing import NamedTuple
 from concord.nodes.tempo import Tempo
 from concord.runtime import in_process
 from concord.runtime.processes.job import Happened
-from concord.runtime.processes.launcher import run_processes
 from concord.runtime.recording import McapRecorder, MemoryRecorder, Recorder
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.bus_table.bus_definition import frame_format
@@ -91,6 +90,9 @@ def over_processes(
                 on_step(happened.step)
             case "ended":
                 sys.stderr.write(f"{happened.detail}; the others go on\n")
+
+    # Only here: a run in process starts none.
+    from concord.runtime.processes.launcher import run_processes
 
     run_processes(setup, run, recording, port, on_event, tempo)
     return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s)

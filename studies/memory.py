@@ -8,10 +8,10 @@ from heapq import nlargest
 from pathlib import Path
 
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import generator
 from concord.scenarios.types.assignment import check_ranges
+from concord.scenarios.types.rules import smoothing_lags
 
 # So many steps of nodes fit anywhere; the plant need not be built for an estimate.
 _SMALL = 100_000
@@ -52,7 +52,7 @@ def needed_bytes(scenario: Scenario, runs: int = 1, messages: bool = False) -> i
     # Innovations of nodes and of the filter that hears everything, with covariances and NIS.
     numbers += 2 * (readings**2 + readings + 1)
     # Means and deviations of smoothed states, and their errors.
-    numbers += 3 * n * smoothing_lags(scenario)
+    numbers += 3 * n * smoothing_lags(scenario.rule)
     per_node = numbers * _FLOAT_BYTES
     if messages:
         per_node += _MESSAGES_BYTES + scenario.nodes * _FLOAT_BYTES

@@ -18,8 +18,9 @@ from concord.experiments.user_errors import user_errors
 from concord.results.figures.summary import Figures, summarise
 from concord.results.figures.summary_table import details, lines, opening, table
 from concord.results.figures.timing_figures import TimingFigures, figures_of
-from concord.results.folder import RECORDING, Description, read_description
+from concord.results.folder import Description, read_description
 from concord.results.innovations.of_run import channel_table, run_innovations
+from concord.results.records.netcdf_file import RECORDING
 from concord.results.records.trace import Trace
 from concord.results.run_results import (
     NO_MORE,

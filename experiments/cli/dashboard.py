@@ -133,7 +133,7 @@ def replay(
     sweep shows its cells, and computes and opens the runs that its viewers press.
     """
     # The page of a network does without it.
-    from concord.results.folder import ARRAYS
+    from concord.results.records.netcdf_file import ARRAYS
 
     if recording.suffix == ".nc" and recording.name != ARRAYS:
         _explore(recording, options, beside)

@@ -10,9 +10,9 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.user_errors import user_errors
-from concord.results.folder import ARRAYS, DESCRIPTION
 from concord.results.palette import save, use_house_style
 from concord.results.places import make_folder
+from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -173,8 +173,8 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePart]]:
-    from concord.results.folder import ARRAYS
     from concord.results.records.histories_file import read_histories
+    from concord.results.records.netcdf_file import ARRAYS
     from concord.studies.monte_carlo.many_figures import lines, summarise
 
     figures = summarise(*read_histories(folder / ARRAYS, description.setup))

@@ -17,15 +17,9 @@ from concord.experiments.run_many import run_many
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
-from concord.results.folder import (
-    BATCHED,
-    RECORDING,
-    Description,
-    describe,
-    make_folder,
-    write_description,
-)
+from concord.results.folder import BATCHED, Description, describe, make_folder, write_description
 from concord.results.places import new_name
+from concord.results.records.netcdf_file import RECORDING
 from concord.results.run_results import Captures, check_captures, completed
 from concord.results.smoothing import check_smoothing
 from concord.runtime.disk import RunFailed

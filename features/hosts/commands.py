@@ -18,13 +18,9 @@ from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.features.hosts.host_place import place_of, read_setup, take_part
 from concord.nodes.commands import Kill, Restart
-from concord.results.folder import (
-    RECORDING,
-    describe,
-    make_folder,
-    write_description,
-)
+from concord.results.folder import describe, make_folder, write_description
 from concord.results.places import new_name
+from concord.results.records.netcdf_file import RECORDING
 from concord.results.run_results import completed
 from concord.runtime.drivers import RunPace
 from concord.runtime.network.links import (

@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from concord.results.folder import optional_variables, state_coordinates
-from concord.results.innovations.of_run import variables_of
 from concord.results.records.extras import run_extras
 from concord.results.records.histories import Histories, RunCost
-from concord.results.records.netcdf_file import read_dataset
+from concord.results.records.netcdf_file import optional_variables, read_dataset, state_coordinates
 from concord.results.records.trace import Past
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import Innovations
@@ -63,6 +61,9 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
     if histories.cov is not None:
         variables["cov"] = ((*state, "other_state"), histories.cov)
     if histories.innovations is not None:
+        # Only here: most runs keep no innovations.
+        from concord.results.innovations.of_run import variables_of
+
         variables |= variables_of(histories.innovations, "", ("run", "step"))
     optional = histories.control, histories.suspect, histories.past
     variables |= optional_variables(("run", "step"), *optional)

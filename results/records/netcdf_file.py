@@ -11,7 +11,45 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from concord.results.records.trace import Past
 from concord.runtime.disk import whole_file
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.setup import Setup
+
+RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
+
+
+def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
+    """Return the coordinates of steps and of the plant's states."""
+    plant = definition_of(setup.scenario).plant(setup.scenario)
+    return {
+        "step": np.arange(steps),
+        "time": ("step", np.arange(steps) * setup.time_step_s, {"units": "s"}),
+        "state": list(plant.state_names),
+        "state_unit": ("state", list(plant.state_units)),
+    }
+
+
+def optional_variables(
+    before: tuple[str, ...],
+    control: np.ndarray | None,
+    suspect: np.ndarray | None,
+    past: Past | None,
+) -> dict[str, Any]:
+    """Return what not every run has as variables, whose first axes are those `before`."""
+    found: dict[str, Any] = {}
+    if control is not None:
+        found["control"] = ((*before, "input"), control)
+    if suspect is not None:
+        found["suspect"] = ((*before, "node"), suspect.astype(np.int8))
+    if past is not None:
+        axes = (*before, "lag", "node", "state")
+        found |= {"smoothed_mean": (axes, past.mean), "smoothed_std": (axes, past.std)}
+        found["lag"] = (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"})
+    return found
+
 
 if TYPE_CHECKING:
     import xarray

@@ -12,7 +12,6 @@ import numpy as np
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected
 from concord.nodes.faults.losses import LinkState, hears_all
-from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.scenarios.build import build_node
 from concord.scenarios.links import link_state
 from concord.scenarios.setup import Setup
@@ -74,6 +73,9 @@ def record_spread(
     send no records."""
     if not isinstance(setup.scenario.rule, FloodingRule):
         return None
+    # Only here: other rules need nothing of this one.
+    from concord.nodes.rules.labelled.flooding import LabelledFlooding
+
     config = build_node(setup, 0)
     estimator = config.estimator
     if not isinstance(estimator, LabelledFlooding):

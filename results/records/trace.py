@@ -16,9 +16,8 @@ from concord.results.records.record_spread import RecordSpread, record_spread
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import with_settings
-from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
 
 
 class Past(NamedTuple):
@@ -220,7 +219,7 @@ def _control(told: list[list[float] | None]) -> np.ndarray | None:
 
 def _nothing(setup: Setup, steps: int) -> Past | None:
     """Return the past of a network that has estimated none yet."""
-    lags = smoothing_lags(setup.scenario)
+    lags = smoothing_lags(setup.scenario.rule)
     if not lags:
         return None
     shape = (steps, lags, setup.scenario.nodes, len(setup.prior_mean))

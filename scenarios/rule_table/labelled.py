@@ -135,13 +135,6 @@ def digest_of(scenario: Scenario) -> int:
     return min(steps, max(_MOST_DIGEST_BITS // scenario.nodes, 1), rule.window_steps or steps)
 
 
-def smoothing_lags(scenario: Scenario) -> int:
-    """Return how many states a node estimates, that of the step itself included; 0 for none."""
-    rule = scenario.rule
-    steps = rule.smooth_steps if isinstance(rule, MeasurementFlooding) else 0
-    return steps + 1 if steps else 0
-
-
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
     # Elsewhere a share may take several frames, of which a link loses each by itself.

@@ -188,3 +188,9 @@ def latch_delay_of(rule: FusionRule) -> float | None:
 def number_of(rule: FusionRule) -> str:
     """The format of numbers in a share; that of its readings for a rule that floods these."""
     return str(getattr(rule, "number", None) or getattr(rule, "record_number", "float64"))
+
+
+def smoothing_lags(rule: FusionRule) -> int:
+    """Return how many states a node estimates, that of the step itself included; 0 for none."""
+    steps = rule.smooth_steps if isinstance(rule, MeasurementFlooding) else 0
+    return steps + 1 if steps else 0

@@ -14,8 +14,8 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from concord.bus.bus import FrameFormat, Rejected
-from concord.results.folder import ARRAYS, recording_of
-from concord.results.records.netcdf_file import read_dataset
+from concord.results.folder import recording_of
+from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.scenario import Scenario
 

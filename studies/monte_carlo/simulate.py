@@ -26,10 +26,9 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.preparation import setup_of_run
-from concord.scenarios.rule_table.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.rules import MeasurementFlooding
+from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of mallopt(3)
 _KEPT_BYTES = 100_000_000
@@ -273,7 +272,7 @@ def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
         classes,
         instant.readings,
         instant.ages,
-        _past(instant, smoothing_lags(setup.scenario)),
+        _past(instant, smoothing_lags(setup.scenario.rule)),
         _suspect(setup, instant),
     )
 

@@ -20,7 +20,8 @@ from concord.dashboard.sweeps.swept import CellQuantity, Choices, SweptCells, lo
 from concord.dashboard.theme import DARK
 from concord.experiments.explored_sweep import UP, RunPages, swept_of
 from concord.experiments.page_options import PageOptions
-from concord.results.folder import RECORDING, read_description
+from concord.results.folder import read_description
+from concord.results.records.netcdf_file import RECORDING
 from concord.runtime.recording import read_recording
 from concord.studies.sweep.results import read_result
 from tests.dashboard.browser_page import press_on

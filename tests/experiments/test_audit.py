@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from concord.experiments.cli.command_line import main
 from concord.nodes.messages import Timing, encode
-from concord.results.folder import ARRAYS, RECORDING, describe, write_arrays
+from concord.results.folder import describe, write_arrays
+from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import McapRecorder

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
-from concord.results.folder import ARRAYS, RECORDING, read_description
+from concord.results.folder import read_description
 from concord.results.palette import save
+from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.trace import read_trace
 from concord.runtime.disk import NotWritten
 from concord.runtime.recording import McapRecorder, read_recording

@@ -18,7 +18,8 @@ import pytest
 import xarray
 from mcap.reader import make_reader
 
-from concord.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
+from concord.results.folder import read_description
+from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION, RECORDING
 from concord.results.records.trace import read_trace
 from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import read_recording

@@ -10,14 +10,13 @@ import xarray
 
 from concord.filters.metrics import nees
 from concord.results.folder import (
-    ARRAYS,
-    DESCRIPTION,
     describe,
     new_folder,
     read_description,
     write_arrays,
     write_description,
 )
+from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.scenario import Scenario

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from concord.experiments.__main__ import main
-from concord.results.folder import RECORDING
+from concord.results.records.netcdf_file import RECORDING
 from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.processes import PROC
 

@@ -12,8 +12,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from benchmarks.measure import say
 from concord.nodes.tempo import Tempo
-from concord.results.folder import ARRAYS, describe, write_arrays
-from concord.results.records.netcdf_file import read_dataset
+from concord.results.folder import describe, write_arrays
+from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.results.records.trace import Trace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording

@@ -23,7 +23,7 @@ SLOT_FIELDS_WITHOUT_ELEMENT = ("period_us", "offset_us", "deadline_us")
 _NODE = re.compile(r"node_(\d+)")
 
 
-class ExchangedParameter(NamedTuple):
+class Exchanged(NamedTuple):
     """A field of a cluster, and the element that holds it in each format.
 
     Attributes:
@@ -43,44 +43,44 @@ class ExchangedParameter(NamedTuple):
 
 _CLOCKS, _NODE_PART = "clocks", "controller"
 PARAMETERS = (
-    ExchangedParameter("action_point_macroticks", "ACTION-POINT-OFFSET"),
-    ExchangedParameter("dynamic_slot_idle_phase_minislots", "DYNAMIC-SLOT-IDLE-PHASE"),
-    ExchangedParameter("minislot_macroticks", "MINISLOT", "MINISLOT-DURATION"),
-    ExchangedParameter("minislot_action_point_macroticks", "MINISLOT-ACTION-POINT-OFFSET"),
-    ExchangedParameter("network_idle_time_macroticks", "N-I-T", "NETWORK-IDLE-TIME"),
-    ExchangedParameter("static_slot_macroticks", "STATIC-SLOT", "STATIC-SLOT-DURATION"),
-    ExchangedParameter("symbol_window_macroticks", "SYMBOL-WINDOW"),
-    ExchangedParameter(
+    Exchanged("action_point_macroticks", "ACTION-POINT-OFFSET"),
+    Exchanged("dynamic_slot_idle_phase_minislots", "DYNAMIC-SLOT-IDLE-PHASE"),
+    Exchanged("minislot_macroticks", "MINISLOT", "MINISLOT-DURATION"),
+    Exchanged("minislot_action_point_macroticks", "MINISLOT-ACTION-POINT-OFFSET"),
+    Exchanged("network_idle_time_macroticks", "N-I-T", "NETWORK-IDLE-TIME"),
+    Exchanged("static_slot_macroticks", "STATIC-SLOT", "STATIC-SLOT-DURATION"),
+    Exchanged("symbol_window_macroticks", "SYMBOL-WINDOW"),
+    Exchanged(
         "transmission_start_bits", "T-S-S-TRANSMITTER", "TRANSMISSION-START-SEQUENCE-DURATION"
     ),
-    ExchangedParameter("macroticks_per_cycle", "MACRO-PER-CYCLE"),
-    ExchangedParameter("macrotick_us", "MACROTICK", "MACROTICK-DURATION", float),
-    ExchangedParameter("minislots", "NUMBER-OF-MINISLOTS"),
-    ExchangedParameter("static_slots", "NUMBER-OF-STATIC-SLOTS"),
-    ExchangedParameter("static_payload_words", "PAYLOAD-LENGTH-STATIC"),
-    ExchangedParameter("cycle_us", "CYCLE", kind=float),
-    ExchangedParameter("cold_start_attempts", "COLD-START-ATTEMPTS", part=_CLOCKS),
-    ExchangedParameter("listen_noise", "LISTEN-NOISE", part=_CLOCKS),
-    ExchangedParameter("halt_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-FATAL", part=_CLOCKS),
-    ExchangedParameter("passive_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", part=_CLOCKS),
-    ExchangedParameter("offset_correction_start_macroticks", "OFFSET-CORRECTION-START", part=_CLOCKS),
-    ExchangedParameter("sync_nodes_most", "SYNC-NODE-MAX", "SYNC-FRAME-ID-COUNT-MAX", part=_CLOCKS),
-    ExchangedParameter("drift_damping_microticks", "CLUSTER-DRIFT-DAMPING", "", part=_CLOCKS),
-    ExchangedParameter("precision_us", "", "", float, _CLOCKS),
-    ExchangedParameter("propagation_delay_us", "", "", float, _CLOCKS),
-    ExchangedParameter("offset_correction_us", "OFFSET-CORRECTION-MAX", "", float, _CLOCKS),
-    ExchangedParameter("dynamic_payload_words", "MAX-DYNAMIC-PAYLOAD-LENGTH",
+    Exchanged("macroticks_per_cycle", "MACRO-PER-CYCLE"),
+    Exchanged("macrotick_us", "MACROTICK", "MACROTICK-DURATION", float),
+    Exchanged("minislots", "NUMBER-OF-MINISLOTS"),
+    Exchanged("static_slots", "NUMBER-OF-STATIC-SLOTS"),
+    Exchanged("static_payload_words", "PAYLOAD-LENGTH-STATIC"),
+    Exchanged("cycle_us", "CYCLE", kind=float),
+    Exchanged("cold_start_attempts", "COLD-START-ATTEMPTS", part=_CLOCKS),
+    Exchanged("listen_noise", "LISTEN-NOISE", part=_CLOCKS),
+    Exchanged("halt_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-FATAL", part=_CLOCKS),
+    Exchanged("passive_after_cycle_pairs", "MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", part=_CLOCKS),
+    Exchanged("offset_correction_start_macroticks", "OFFSET-CORRECTION-START", part=_CLOCKS),
+    Exchanged("sync_nodes_most", "SYNC-NODE-MAX", "SYNC-FRAME-ID-COUNT-MAX", part=_CLOCKS),
+    Exchanged("drift_damping_microticks", "CLUSTER-DRIFT-DAMPING", "", part=_CLOCKS),
+    Exchanged("precision_us", "", "", float, _CLOCKS),
+    Exchanged("propagation_delay_us", "", "", float, _CLOCKS),
+    Exchanged("offset_correction_us", "OFFSET-CORRECTION-MAX", "", float, _CLOCKS),
+    Exchanged("dynamic_payload_words", "MAX-DYNAMIC-PAYLOAD-LENGTH",
               "MAXIMUM-DYNAMIC-PAYLOAD-LENGTH", part=_NODE_PART),
-    ExchangedParameter("latest_transmission_minislot", "LATEST-TX", part=_NODE_PART, of_several=min),
-    ExchangedParameter("microticks_per_cycle", "MICRO-PER-CYCLE", part=_NODE_PART,
+    Exchanged("latest_transmission_minislot", "LATEST-TX", part=_NODE_PART, of_several=min),
+    Exchanged("microticks_per_cycle", "MICRO-PER-CYCLE", part=_NODE_PART,
               of_several=itemgetter(0)),
-    ExchangedParameter("microtick_us", "MICROTICK", "MICROTICK-DURATION", float, _NODE_PART, itemgetter(0)),
-    ExchangedParameter("startup_range_microticks", "ACCEPTED-STARTUP-RANGE", part=_NODE_PART),
-    ExchangedParameter("drift_damping_microticks", "", "CLUSTER-DRIFT-DAMPING", part=_NODE_PART),
-    ExchangedParameter("listen_timeout_microticks", "LISTEN-TIMEOUT", part=_NODE_PART),
-    ExchangedParameter("drift_microticks", "MAX-DRIFT", "", part=_NODE_PART),
-    ExchangedParameter("offset_correction_microticks", "OFFSET-CORRECTION-OUT", part=_NODE_PART),
-    ExchangedParameter("rate_correction_microticks", "RATE-CORRECTION-OUT", part=_NODE_PART),
+    Exchanged("microtick_us", "MICROTICK", "MICROTICK-DURATION", float, _NODE_PART, itemgetter(0)),
+    Exchanged("startup_range_microticks", "ACCEPTED-STARTUP-RANGE", part=_NODE_PART),
+    Exchanged("drift_damping_microticks", "", "CLUSTER-DRIFT-DAMPING", part=_NODE_PART),
+    Exchanged("listen_timeout_microticks", "LISTEN-TIMEOUT", part=_NODE_PART),
+    Exchanged("drift_microticks", "MAX-DRIFT", "", part=_NODE_PART),
+    Exchanged("offset_correction_microticks", "OFFSET-CORRECTION-OUT", part=_NODE_PART),
+    Exchanged("rate_correction_microticks", "RATE-CORRECTION-OUT", part=_NODE_PART),
 )  # fmt: skip
 
 
@@ -136,16 +136,16 @@ class Format(NamedTuple):
     turn: Callable[[Element, int, str], tuple[int | None, int | None, int]]
     ecu_names: Callable[[Element], list[str]]
 
-    def tags(self, *parts: str) -> dict[str, ExchangedParameter]:
+    def tags(self, *parts: str) -> dict[str, Exchanged]:
         """Return the parameters of these parts that the format has, by the names of elements."""
-        rows: dict[str, ExchangedParameter] = {}
+        rows: dict[str, Exchanged] = {}
         for part in parts:
             own = [(self._tag(row), row) for row in PARAMETERS if row.part == part]
             # The schema of AUTOSAR sorts its elements by name.
             rows |= {tag: row for tag, row in (own if self.in_fibex else sorted(own)) if tag}
         return rows
 
-    def _tag(self, row: ExchangedParameter) -> str:
+    def _tag(self, row: Exchanged) -> str:
         return row.fibex if self.in_fibex or row.arxml is None else row.arxml
 
     def lacking(self) -> tuple[str, ...]:
