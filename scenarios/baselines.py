@@ -17,7 +17,6 @@ import numpy as np
 from concord.filters.filter import Filter, begun, moments
 from concord.filters.gaussian import Gaussian
 from concord.filters.smoother import Backward, smooth, smooth_with_lags
-from concord.nodes.rules.labelled.window_smoother import way_back
 from concord.nodes.rules.local_filter import (
     LocalFilters,
     Memory,
@@ -117,6 +116,9 @@ def _alone_way(way: Backward) -> Backward:
 
 def _ways_back(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> list[Backward]:
     """The ways from each step of beliefs (R, steps, n) to the one before it."""
+    # Only here: most runs estimate no past states.
+    from concord.nodes.rules.labelled.window_smoother import way_back
+
     model, own_filter = definition_of(setup.scenario).model(setup.scenario), filter_of(setup)
     return [
         way_back(

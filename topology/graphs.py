@@ -18,7 +18,6 @@ from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, requi
 from concord.topology.choices import graph_names
 from concord.topology.edge_text import read_edge_text
 from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
-from concord.topology.graph_files import read_network
 from concord.topology.names import unknown_name
 from concord.topology.network import GraphSource, Network
 from concord.topology.random_graphs import (
@@ -95,11 +94,18 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 }
 
 
+def _read(path: str, nodes: int | None, directed: bool = False) -> Network:
+    # Only here: most graphs are drawn.
+    from concord.topology.graph_files import read_network
+
+    return read_network(path, nodes, directed=directed)
+
+
 # The text after the colon is a path, or the edges themselves.
 _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
     "edges": lambda text, nodes: Network(read_edge_text(text, nodes)),
-    "file": lambda path, nodes: read_network(path, nodes),
-    "directed": lambda path, nodes: read_network(path, nodes, directed=True),
+    "file": _read,
+    "directed": lambda path, nodes: _read(path, nodes, directed=True),
 }
 
 
