@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from concord.runtime.disk import NotWritten
+from concord.disk import NotWritten
 
 BROKEN_PIPE = 128 + signal.SIGPIPE
 _PLAIN = {

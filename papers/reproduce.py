@@ -11,6 +11,7 @@ import msgspec
 import tyro
 from rich.console import Console
 
+from concord.disk import RunFailed
 from concord.experiments.user_errors import user_errors
 from concord.papers.kit.report import (
     REPORT,
@@ -21,7 +22,6 @@ from concord.papers.kit.report import (
     write_report,
 )
 from concord.results.folder import new_folder
-from concord.runtime.disk import RunFailed
 from concord.studies.sweep.workers import WorkerLost
 from concord.topology.names import unknown_name
 

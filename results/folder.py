@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 import shutil
 
+from concord.disk import writing
 from concord.results.records.netcdf_file import ARRAYS, optional_variables, state_coordinates
-from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.schedules import arbiter_of

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from concord.runtime.disk import writing
+from concord.disk import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import msgspec
 
 from concord.bus.pcap import FLEXRAY_LINK, write_pcap
+from concord.disk import writing
 from concord.results.bus.bus_capture import capture, check_all_cycles, traffic_of
 from concord.results.bus.node_capture import node_capture
 from concord.results.folder import NODE_CAPTURE, Description, recording_of, write_arrays
 from concord.results.innovations.of_run import RunInnovations
 from concord.results.records.netcdf_file import CAPTURE, RECORDING
 from concord.results.records.trace import Trace, read_trace
-from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_definition import frame_format

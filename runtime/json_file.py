@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import msgspec
 
-from concord.runtime.disk import whole_file
+from concord.disk import whole_file
 
 T = TypeVar("T")
 

@@ -20,10 +20,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from concord.bus.bus import FrameFormat
+from concord.disk import NotWritten, writing
 from concord.nodes.bounds import UNREADABLE, Instant
 from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode, message_types
-from concord.runtime.disk import NotWritten, writing
 
 _RECORD_HEADER = struct.Struct("<BQ")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from mcap.records import Channel, Message, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from concord.runtime.disk import whole_file
+from concord.disk import whole_file
 from concord.runtime.recording import whole_records
 
 

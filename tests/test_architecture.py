@@ -45,7 +45,7 @@ SERIALISERS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CLOCKS_AND_CHANCE = {"time", "datetime", "random", "secrets", "uuid"}
 PURE = (
     "filters/", "topology/", "bus/", "plants/", "nodes/node.py", "nodes/environment.py",
-    "nodes/belief_", "nodes/messages.py", "runtime/in_process.py", "concord/entries.py",
+    "nodes/vector_codec.py", "nodes/messages.py", "runtime/in_process.py", "concord/entries.py",
 )  # fmt: skip
 SEEDED = {"Generator", "SeedSequence", "BitGenerator", "PCG64", "Philox", "default_rng"}
 SPEAKERS = (

@@ -10,11 +10,11 @@ import tyro
 from tyro.extras import SubcommandApp
 
 from concord._version import __version__
+from concord.disk import RunFailed
 from concord.entries import chosen, entries
 from concord.experiments.repeated_options import refuse_repeated
 from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
-from concord.runtime.disk import RunFailed
 from concord.topology.names import unknown_name
 
 

@@ -9,9 +9,9 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from concord.disk import RunFailed
 from concord.experiments.user_errors import user_errors
 from concord.results.places import make_folder
-from concord.runtime.disk import RunFailed
 from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
 from concord.studies.compare.output import write_comparison
 from concord.studies.compare.results import assemble, comparison_figures

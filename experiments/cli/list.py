@@ -10,14 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from concord.entries import summaries
-from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
-from concord.scenarios.bus_table.bus_plan import arbiter_names, schedule_names
+from concord.bus.arbitration import ARBITERS
+from concord.entries import entries, summaries
 from concord.scenarios.bus_table.clusters import cluster_names
-from concord.scenarios.catalogue import definitions
-from concord.scenarios.scenario_definition import ScenarioDefinition
-from concord.scenarios.scenario_options import offered_options
-from concord.scenarios.types.option import name_of
 from concord.scenarios.types.schedules import WrittenSchedule
 from concord.topology.choices import WEIGHTS, graph_names
 from concord.topology.link_names import NAMES as LINK_NAMES
@@ -28,73 +23,81 @@ class ListOptions:
     """How to show it."""
 
     json: bool = False
-    """Print one JSON object instead of tables."""
+    """Print one JSON object instead of tables, with the defaults of each scenario."""
+    faults: bool = False
+    """List the words of faults alone."""
 
 
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     """List scenarios, rules, filters, faults, and names that options of network and bus take."""
-    names = {
+    if options.json:
+        sys.stdout.write(msgspec.json.encode(_everything()).decode() + "\n")
+        return
+    console = Console()
+    if options.faults:
+        _show(console, "fault", "what happens", _faults())
+        return
+    for what, meaning, kind in (
+        ("scenario", "what it is", "SCENARIOS"),
+        ("rule", "what it promises", "RULES"),
+        ("filter", "what it is", "FILTERS"),
+    ):
+        _show(console, what, meaning, summaries(kind))
+    for what, values in _names().items():
+        console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
+    console.print("faults: `concord list --faults`", highlight=False)
+
+
+def _show(console: Console, what: str, meaning: str, sentences: dict[str, str]) -> None:
+    table = Table(what, meaning)
+    for name, sentence in sentences.items():
+        table.add_row(escape(name), escape(sentence))
+    console.print(table)
+
+
+def _names() -> dict[str, list[str]]:
+    """Return the names that options take, from tables of names alone."""
+    return {
         "graphs": list(graph_names()),
         "weights": list(WEIGHTS),
         "links": list(LINK_NAMES),
-        "schedules": [*schedule_names(), name_of(WrittenSchedule)],
+        "schedules": [*entries("SCHEDULES"), str(WrittenSchedule.__struct_config__.tag)],
         "clusters": list(cluster_names()),
-        "arbiters": list(arbiter_names()),
-        "holds": list(offered_options()["hold"].names),
-        "buses": list(offered_options()["bus"].names),
+        "arbiters": list(ARBITERS),
+        "buses": list(entries("BUSES")),
     }
-    own = {
-        name: {"rule": tuple(definition.wirings), **wiring.names}
-        for name, definition in definitions().items()
-        for wiring in definition.wirings.values()
-    }
-    if options.json:
-        scenarios = {
-            name: definition.defaults.with_(steps=_steps(definition) or definition.defaults.steps)
-            for name, definition in definitions().items()
-        }
-        faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
-        everything = {
-            "scenarios": scenarios, "rules": summaries("RULES"),
-            "filters": summaries("FILTERS"), **names,
-            "own": own, "faults": faults,
-        }  # fmt: skip
-        sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
-        return
-    console = Console()
-    scenarios = Table("scenario", "what it is", "nodes", "graph", "steps")
+
+
+def _faults() -> dict[str, str]:
+    # Only here: names and sentences need nothing of the nodes.
+    from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
+
+    return {usage(word): fault.summary for word, fault in EVERY_FAULT.items()}
+
+
+def _everything() -> dict[str, object]:
+    # Only here: defaults need the definitions of all scenarios.
+    from concord.nodes.faults.vocabulary import EVERY_FAULT
+    from concord.scenarios.catalogue import definitions
+    from concord.scenarios.scenario_options import offered_options
+
+    scenarios, own = {}, {}
     for name, definition in definitions().items():
-        d = definition.defaults
-        scenarios.add_row(
-            name,
-            type(d.plant).summary(),
-            str(d.nodes),
-            d.network.graph,
-            str(_steps(definition) or "as --data"),
-        )
-    console.print(scenarios)
-    faults = {escape(usage(word)): fault.summary for word, fault in EVERY_FAULT.items()}
-    for what, meaning, described in (
-        ("rule", "what it promises", summaries("RULES")),
-        ("filter", "what it is", summaries("FILTERS")),
-        ("fault", "what happens", faults),
-    ):
-        table = Table(what, meaning)
-        for name, summary in described.items():
-            table.add_row(name, summary)
-        console.print(table)
-    for what, values in names.items():
-        console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
-    for name, of_option in own.items():
-        values = "; ".join(f"--{option} {', '.join(of)}" for option, of in of_option.items())
-        console.print(f"{name} has its own: {values}", highlight=False, soft_wrap=True)
-
-
-def _steps(definition: ScenarioDefinition) -> int | None:
-    """Steps of a scenario when nothing is asked for; None where its data must be named first."""
-    if definition.all_steps is None:
-        return definition.defaults.steps
-    try:
-        return definition.all_steps(definition.defaults)
-    except ValueError:
-        return None
+        defaults, steps = definition.defaults, None
+        if definition.all_steps is not None:
+            try:
+                steps = definition.all_steps(defaults)
+            except ValueError:
+                steps = None  # Its data must be named first.
+        scenarios[name] = defaults.with_(steps=steps or defaults.steps)
+        for wiring in definition.wirings.values():
+            own[name] = {"rule": tuple(definition.wirings), **wiring.names}
+    return {
+        "scenarios": scenarios,
+        "rules": summaries("RULES"),
+        "filters": summaries("FILTERS"),
+        **_names(),
+        "holds": list(offered_options()["hold"].names),
+        "own": own,
+        "faults": {word: fault.summary for word, fault in EVERY_FAULT.items()},
+    }

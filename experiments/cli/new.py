@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from concord.disk import writing
 from concord.experiments.user_errors import user_errors
-from concord.runtime.disk import writing
 
 _TEMPLATES = Path(__file__).parent.parent / "study"
 _SUFFIX = ".template"

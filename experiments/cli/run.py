@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from concord.disk import RunFailed
 from concord.experiments.cli.collect import FiguresForm, ResultOptions, finish
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
@@ -22,7 +23,6 @@ from concord.results.places import new_name
 from concord.results.records.netcdf_file import RECORDING
 from concord.results.run_results import Captures, check_captures, completed
 from concord.results.smoothing import check_smoothing
-from concord.runtime.disk import RunFailed
 from concord.runtime.drivers import DRIVERS, RunPace, over_processes
 from concord.runtime.network.links import names, ports_from
 from concord.scenarios.preparation import prepare

@@ -12,11 +12,11 @@ import msgspec
 import tyro
 from rich.console import Console
 
+from concord.disk import RunFailed
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.sweep_options import FieldOptions
 from concord.experiments.user_errors import user_errors
 from concord.results.places import make_folder, new_name
-from concord.runtime.disk import RunFailed
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
 from concord.studies.few_samples import decisive_run, few_runs, few_steps

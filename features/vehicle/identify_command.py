@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
+from concord.disk import writing
 from concord.experiments.user_errors import user_errors
 from concord.features.vehicle.identification.findings import findings_of, in_words, table_of
 from concord.features.vehicle.identification.fit import MOST_STEPS, CarFit, fit
@@ -43,7 +44,6 @@ from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.features.vehicle.scenario import TIME_STEP_S
 from concord.plants.recorded.channels import ChannelReadings, readings_between
 from concord.results.places import make_folder
-from concord.runtime.disk import writing
 from concord.studies.progress import progress
 from concord.topology.names import unknown_name
 

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from concord.disk import writing
 from concord.papers.kit.judging import Check, Claim, Erratum
 from concord.results.folder import versions
-from concord.runtime.disk import writing
 
 REPORT, REPORT_JSON = "report.md", "report.json"
 

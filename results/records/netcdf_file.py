@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from concord.disk import whole_file
 from concord.results.records.trace import Past
-from concord.runtime.disk import whole_file
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 

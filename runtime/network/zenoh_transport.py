@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import zenoh
 
-from concord.runtime.disk import RunFailed
+from concord.disk import RunFailed
 from concord.runtime.network.links import ZenohEndpoints
 
 # One worker thread per process instead of one per core and role; a router needs the default.

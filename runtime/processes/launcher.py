@@ -15,8 +15,8 @@ from pathlib import Path
 
 import msgspec
 
+from concord.disk import NotWritten, RunFailed
 from concord.nodes.tempo import Tempo
-from concord.runtime.disk import NotWritten, RunFailed
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import NetworkAddresses, write_network
 from concord.runtime.network.sockets import socket_folder

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import msgspec
 
+from concord.disk import NotWritten
 from concord.nodes.node_state import NodeConfig
-from concord.runtime.disk import NotWritten
 from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints, endpoints_below
 from concord.runtime.network.zenoh_transport import LinkError, start_router
 from concord.runtime.processes.job import Happened, Job, Order

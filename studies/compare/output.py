@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from concord.disk import whole_file
 from concord.results.places import make_folder
 from concord.results.records.netcdf_file import write_dataset
 from concord.results.report_page import as_html, as_markdown
-from concord.runtime.disk import whole_file
 from concord.studies.compare.results import ComparisonFigures
 from concord.studies.compare.tables import as_json, latex, overviews, page
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from concord.disk import whole_file
 from concord.results.places import make_folder
-from concord.runtime.disk import whole_file
 from concord.runtime.json_file import read_json, write_json
 from concord.studies.sweep.cells import difference
 from concord.studies.sweep.pieces import Origin, program

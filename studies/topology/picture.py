@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
-from concord.runtime.disk import writing
+from concord.disk import writing
 
 matplotlib.use("Agg")
 

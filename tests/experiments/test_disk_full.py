@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.disk import NotWritten
 from concord.results.folder import read_description
 from concord.results.palette import save
 from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.trace import read_trace
-from concord.runtime.disk import NotWritten
 from concord.runtime.recording import McapRecorder, read_recording
 from concord.studies.sweep.store import folder_of, load_arrays, save_arrays
 from tests.processes import CONCORD, PROC, family

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.settings import ClockSettings, clock_settings
+from concord.disk import writing
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.clocks.clock_run import (
     ClockRun,
@@ -22,7 +23,6 @@ from concord.features.flexray_tools.clocks.clock_run import (
     run_clocks,
 )
 from concord.features.flexray_tools.commands.clusters import read_cluster
-from concord.runtime.disk import writing
 
 matplotlib.use("Agg")
 
