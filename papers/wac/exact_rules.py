@@ -59,10 +59,9 @@ def _of_beliefs(rule: Averaging, nodes: int, states: int) -> _Averaged:
 
 
 def _hybrid(nodes: int, states: int) -> _Averaged:
-    gain = hybrid_consensus.safe_gain
     return _Averaged(
         partial(hybrid_consensus.begin, row=np.eye(nodes)),
-        partial(hybrid_consensus.from_information, states=states, gain=gain),
+        partial(hybrid_consensus.from_information, states=states),
         pairs=2,
     )
 
