@@ -51,20 +51,20 @@ def measure(
     """Propagate a rule's covariances over all plants, graphs and rounds."""
     weights = [metropolis(build_graph(name, NODES, GEOMETRIC_SEED)).toarray() for name in graphs]
     powers = [[np.linalg.matrix_power(one, count) for count in ROUNDS] for one in weights]
-    jobs = [(make, rule, np.array(powers)) for make in plants.values()]
+    jobs = [(make, rule, np.array(powers), STEPS) for make in plants.values()]
     found = side_by_side("exact covariances", _last_and_worst, jobs)
     return dict(zip(plants, found, strict=True))
 
 
 def _last_and_worst(
-    job: tuple[Callable[[], LinearPlant], str, np.ndarray],
+    job: tuple[Callable[[], LinearPlant], str, np.ndarray, int],
 ) -> tuple[np.ndarray, np.ndarray]:
-    make, rule, averaging = job
+    make, rule, averaging, steps = job
     worst = np.zeros(averaging.shape[:-2])
     figures = None
-    moments = propagate(network_of(make()), RULES[rule], averaging, STEPS)
+    moments = propagate(network_of(make()), RULES[rule], averaging, steps)
     for step, now in enumerate(moments, start=1):
-        if step % RECORDED_EVERY == 0 or step == STEPS:
+        if step % RECORDED_EVERY == 0 or step == steps:
             figures = over_nodes(figures_of(now))
             worst = np.maximum(worst, figures.lambda_max)
     assert figures is not None, "the last step is recorded"
