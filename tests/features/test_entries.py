@@ -63,7 +63,7 @@ def test_every_target_can_be_loaded(kind: str):
 
 def test_a_name_given_twice_is_refused_with_both_owners(tmp_path: Path):
     message = refusal(installed(tmp_path, "twice", TWICE), tmp_path)
-    assert "rules 'wac' of package twice: concord has the name already" in message
+    assert "rules 'wac' of package twice: concord.scenarios has the name already" in message
     assert "rename the entry in twice" in message
 
 
