@@ -5,7 +5,7 @@ _HERE = "concord.features.hosts"
 COMMANDS = {
     "keys": (
         f"{_HERE}.keys_command:keys",
-        "Make certificates and access control for a network, or try to break in (--check).",
+        "Make certificates and access control for a network, or check such files (--check).",
     ),
     "setup": (
         f"{_HERE}.commands:setup",

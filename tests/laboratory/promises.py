@@ -8,7 +8,6 @@ neighbour that sends false beliefs.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from concord.experiments.conformance.drawn_networks import EXACT_PLANTS
 from concord.nodes.commands import Configure, Inject
 from concord.scenarios.rule_table.rules import Rule, rule_of
 from concord.scenarios.scenario import Scenario
@@ -16,6 +15,7 @@ from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
+from concord.studies.check.drawn_networks import EXACT_PLANTS
 from concord.topology.analysis import is_robust
 
 # After these a reading says what its sensor never promised.

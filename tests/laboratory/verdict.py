@@ -5,19 +5,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from concord.experiments.conformance.drawn_networks import EXACT_PLANTS
-from concord.experiments.conformance.network_promise import (
-    IMPROBABLE,
-    SET_TOLERANCE,
-    overconfidence,
-    squares,
-)
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import from_wire
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.plants import noise_of
+from concord.studies.check.drawn_networks import EXACT_PLANTS
+from concord.studies.check.network_promise import (
+    IMPROBABLE,
+    SET_TOLERANCE,
+    overconfidence,
+    squares,
+)
 from tests.laboratory.broken import Broken
 from tests.laboratory.promises import (
     BOUNDED,
