@@ -98,7 +98,7 @@ COMMANDS = {
 NAMES = {
     "agree": (
         f"{_API}:agree",
-        "Where the drivers differ on a scenario; empty if they agree (contract 7 of "
+        "Where the drivers differ on a scenario; empty if they agree (contract 5 of "
         "ARCHITECTURE.md).",
     ),
     "compare": (

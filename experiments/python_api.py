@@ -98,7 +98,7 @@ def load(folder: Path | str) -> "xarray.Dataset":
 
 @python_words()
 def agree(scenario: Scenario) -> "tuple[DriverDifference, ...]":
-    """Where the drivers differ on a scenario; empty if they agree (contract 7 of ARCHITECTURE.md).
+    """Where the drivers differ on a scenario; empty if they agree (contract 5 of ARCHITECTURE.md).
 
     Raises:
         ValueError: a scenario that cannot run.

@@ -163,7 +163,7 @@ class AveragesInBatch(InBatch[FreshOwn, LastUsed, np.ndarray]):
     """`InBatch` of rules whose rounds are averages of numbers (`InformationRounds`).
 
     All averages are one product with a matrix of weights. That takes 1.5 to 2 times less of a Monte
-    Carlo than averages of gathered neighbourhoods (ARCHITECTURE.md).
+    Carlo than averages of gathered neighbourhoods (docs/decisions.md).
     """
 
     def _fused(
