@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import concord as cc
+from concord.entries import entries
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.studies.monte_carlo.simulate import simulate
@@ -16,7 +17,7 @@ SMALL = cc.scenario("oscillator", nodes=3, steps=25, graph="path")
 
 
 def test_every_public_name_is_there_and_others_are_named():
-    for name in cc._HOMES:
+    for name in entries("NAMES"):
         assert getattr(cc, name) is not None
         assert name in dir(cc)
     with pytest.raises(AttributeError, match=r"concord has no 'simulte'; it has .*simulate"):

@@ -104,10 +104,11 @@ def test_a_network_of_one_is_the_filter_alone(rule: str):
 def test_the_example_of_the_page_runs(monkeypatch: pytest.MonkeyPatch):
     page = (Path(__file__).parents[2] / "docs" / "adding_a_filter.md").read_text()
     function, struct, entry = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    names = {**vars(rule_types), **vars(rules)}
+    names = {**vars(rule_types)}
     exec(function, names)
     exec(struct, names)
-    monkeypatch.setitem(rules._RULES, "sharpest", eval(f"{{{entry}}}", names)["sharpest"])
+    assert eval(f"{{{entry}}}", {"_TYPES": ""})["sharpest"][1] == names["Sharpest"].summary()
+    monkeypatch.setattr(rules, "chosen", lambda kind, name: names[name])
     usual = scenario("ci", graph="complete", rounds=1, steps=40)
     setup = prepare(structs.replace(usual, rule=names["Sharpest"]()))
     found = trace(setup)
