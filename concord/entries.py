@@ -31,7 +31,7 @@ KINDS = {
     "COMMANDS": "a function of the command line, or a table of them (a group)",
     "NAMES": "a public name of the package concord",
 }
-"""What the target of an entry is, by the name of its table."""
+"""The target of an entry, by the name of its table."""
 _GROUP = "concord.features"
 
 

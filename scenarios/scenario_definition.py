@@ -98,7 +98,7 @@ class NetworkWiring(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """What a plant's own data tell of runs beside their innovations.
+    """Explanation of runs by a plant's own data, beside their innovations.
 
     Attributes:
         cure: of a model that does not move as the readings do.

@@ -143,11 +143,11 @@ def in_options(scenario: Scenario) -> list[str]:
     words: list[str] = []
     for name, value in chosen.items():
         if value != (before if is_choice[name] else with_choices).get(name):
-            words += _said(name, value)
+            words += _words_of(name, value)
     return words
 
 
-def _said(name: str, value: Any) -> Iterator[str]:
+def _words_of(name: str, value: Any) -> Iterator[str]:
     option = name.replace("_", "-")
     if isinstance(value, bool):
         yield f"--{option}" if value else f"--no-{option}"

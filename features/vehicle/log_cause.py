@@ -37,7 +37,7 @@ _DRIVER: dict[tuple[str, ...], str] = {
 
 
 def explained(setup: Setup, belief: Gaussian, counted: np.ndarray, cure: str) -> Explanation:
-    """What a logged drive tells of its run, from the steps (S,) that count, some of which do.
+    """Tell the causes that a logged drive shows, from the steps (S,) that count, some of which do.
 
     `belief` (S, n) is that of the filter that hears everything.
     """

@@ -1,1 +1,1 @@
-"""What the bus carried, from the record of a run."""
+"""Frames, load and delays of the bus, from the record of a run."""
