@@ -25,9 +25,9 @@ KINDS = {
     "SCHEDULES": "only options: which nodes may publish in a cycle",
     "CLUSTER_FILES": "a ClusterFileFormat, by the ending of its files",
     "GRAPHS": "a GraphSource, by the word before the colon",
-    "ARBITERS": "an Arbiter",
+    "ARBITERS": "an Arbiter, or its function of urgency, beside those of the core",
     "FIGURES": "by name, (dimensions, unit, meaning) of figures of runs",
-    "CHARTS": "a chart of the page",
+    "CHARTS": "a function (stage) -> charts of the page, beside those of the core",
     "COMMANDS": "a function of the command line, or a table of them (a group)",
     "NAMES": "a public name of the package concord",
 }

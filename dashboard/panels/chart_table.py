@@ -7,6 +7,7 @@ from concord.dashboard.frames.history import state_table
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 from concord.dashboard.panels.nis_chart import nis_chart
+from concord.entries import chosen, entries
 from concord.scenarios.preparation import share_bytes
 
 _LOWER, _UPPER = "−3σ", "+3σ"
@@ -35,6 +36,7 @@ def run_charts(stage: Stage) -> tuple[Chart, ...]:
         ),
         nis_chart(),
         _payload_chart(stage),
+        *(chart for name in entries("CHARTS") for chart in chosen("CHARTS", name)(stage)),
     )
 
 

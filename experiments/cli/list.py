@@ -63,7 +63,7 @@ def _names() -> dict[str, list[str]]:
         "links": list(LINK_NAMES),
         "schedules": [*entries("SCHEDULES"), str(WrittenSchedule.__struct_config__.tag)],
         "clusters": list(cluster_names()),
-        "arbiters": list(ARBITERS),
+        "arbiters": [*ARBITERS, *entries("ARBITERS")],
         "buses": list(entries("BUSES")),
     }
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from concord.bus.arbitration import ARBITERS, ONE_CLASS, Arbiter, UrgencyClasses
+from concord.bus.arbitration import ARBITERS, ONE_CLASS, Arbiter, Urgency, UrgencyClasses
 from concord.bus.bus import Bus
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import (
@@ -15,6 +15,7 @@ from concord.bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
+from concord.entries import chosen, entries
 from concord.nodes.rules.lane_rule import BIDS_FOR_CHANGE
 from concord.scenarios.bus_table.bus_definition import BusRequest, bus_definition
 from concord.scenarios.catalogue import definition_of
@@ -45,11 +46,14 @@ def with_pinned_arbiter(scenario: Scenario) -> Scenario:
 def arbiter_named(name: str) -> Arbiter:
     """The arbiter of a name, or of a user's file: an `Arbiter`, or its function of urgency."""
     if not is_source_name(name):
-        if name not in ARBITERS:
-            raise unknown_name("arbiter", name, ARBITERS)
-        return ARBITERS[name]
+        if name not in arbiter_names():
+            raise unknown_name("arbiter", name, arbiter_names())
+        return ARBITERS[name] if name in ARBITERS else _as_arbiter(chosen("ARBITERS", name))
     must = "a function urgency(state, bids, frame_ids), or an Arbiter of concord.bus.arbitration"
-    value = function_or(Arbiter, source_of(name), must)
+    return _as_arbiter(function_or(Arbiter, source_of(name), must))
+
+
+def _as_arbiter(value: Arbiter | Urgency) -> Arbiter:
     return value if isinstance(value, Arbiter) else Arbiter(value)
 
 
@@ -86,8 +90,8 @@ def schedule_names() -> tuple[str, ...]:
 
 
 def arbiter_names() -> tuple[str, ...]:
-    """The arbiters of the dynamic segment there are."""
-    return tuple(ARBITERS)
+    """The arbiters of the dynamic segment: those of the core, and those that entries bring."""
+    return (*ARBITERS, *entries("ARBITERS"))
 
 
 def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
