@@ -87,11 +87,6 @@ def _require_honest_majorities(
 
 CI = once(BELIEFS, partial(averaging, INFORMATION), partial(beliefs_in_batch, INFORMATION))
 SHARP_CI = once(BELIEFS, partial(averaging, SharpIntersection()))
-TRIMMED_CI = once(BELIEFS, trimmed, check=_require_honest_majorities)
-WAC = once(
-    BELIEFS,
-    partial(averaging, MOMENTS),
-    partial(beliefs_in_batch, MOMENTS),
-    consistent=False,
-)
+TRIMMED_CI = once(BELIEFS, trimmed, check=_require_honest_majorities, consistent=False)
+WAC = once(BELIEFS, partial(averaging, MOMENTS), partial(beliefs_in_batch, MOMENTS))
 LOCAL = once(BELIEFS, partial(averaging, Directly(keep_own)), alone_in_batch, weighted=False)

@@ -5,6 +5,8 @@ its errors. Where the filters know the plant exactly, no node is surer than the 
 every reading: a covariance of counted-twice information is too small in the very step.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -48,7 +50,7 @@ def draw_network(number: int, rule: str) -> Scenario:
 
 
 def _changes(
-    generator: np.random.Generator, neighbours: tuple[tuple[int, ...], ...]
+    generator: np.random.Generator, neighbours: Sequence[Sequence[int]]
 ) -> tuple[str, ...]:
     """Some of: lost frames, a death with its return, a cut link, a partition."""
     nodes = len(neighbours)

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from concord.entries import chosen, entries
 from concord.experiments.cli.command_line import main
-from concord.scenarios.rule_table import rules
+from concord.scenarios.rule_table.rule import Rule
 from concord.studies.check.rule_promises import RULE_PROMISES
 from tests.pages import ROOT, blocks
 
@@ -106,10 +107,11 @@ def test_information_that_counts_twice_shows_in_a_network_too(capsys: pytest.Cap
 
 def test_a_rule_of_the_table_says_itself_whether_it_is_consistent():
     """A new rule claims consistency unless its entry says otherwise."""
-    claims = {name: rule.consistent for name, rule in rules._RULES.items()}
-    wrong = {name for name, claimed in claims.items() if not claimed}
+    found = {name: chosen("RULES", name) for name, one in entries("RULES").items() if one.target}
+    rules = {name: value for name, value in found.items() if isinstance(value, Rule)}
+    wrong = {name for name, rule in rules.items() if not rule.consistent}
     assert wrong == {"trimmed-ci", "icf", "diffusion", "kcf"}
-    assert rules.Rule(None, lambda _: None, lambda _: None).consistent
+    assert Rule._field_defaults["consistent"]
 
 
 def test_a_rule_of_other_shares_skips_promises_about_beliefs(capsys: pytest.CaptureFixture[str]):

@@ -32,7 +32,7 @@ def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
     return "/".join(f"{q:.{digits}f}" for q in np.quantile(values, [0.5, 0.99, 1.0]))
 
 
-def audited(setup: Setup, folder: Path, tempo: Tempo | None = None) -> tuple[Trace, np.ndarray]:
+def audited(setup: Setup, folder: Path, tempo: Tempo | None) -> tuple[Trace, np.ndarray]:
     """Write the arrays of a recording, print what `concord audit` finds in them, and return the
     trace and the NEES (steps, N)."""
     finish_recording(folder / "run.mcap")
@@ -46,10 +46,10 @@ def audited(setup: Setup, folder: Path, tempo: Tempo | None = None) -> tuple[Tra
     return trace, read_dataset(folder / ARRAYS, ("nees",), "run it again")["nees"].values
 
 
-def account(setup: Setup, folder: Path) -> None:
+def account(setup: Setup, folder: Path, tempo: Tempo | None) -> None:
     """Print the audit, where the estimates and shares are that were not recorded, and whether the
     nodes agree and claim what they know."""
-    trace, nees = audited(setup, folder)
+    trace, nees = audited(setup, folder, tempo)
     changes = Counter(
         msgspec.json.decode(data)["change"]["what"]
         for topic, data in read_recording(folder / "run.mcap")

@@ -147,7 +147,7 @@ def kill_and_restart(network: Network, count: int, rng: np.random.Generator, boo
     say(f"  told to be gone after {spread(gone_s)} s; back {spread(back_s)} s after the command")
     say(f"  longest time between two steps {max(stalls):.3f} s; processes at the end {living}")
     say(f"  files open before {before}, after {after}; {left}")
-    account(network.setup, network.folder)
+    account(network.setup, network.folder, network.tempo)
 
 
 def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) -> None:
@@ -170,7 +170,7 @@ def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) ->
     say(f"{count} hangs of {SHORT_S:g} and {LONG_S:g} s, {NODES} processes, real time")
     say(f"  longest time between two steps {max(stalls):.3f} s; back after {spread(back_s)} s")
     say(f"  {left}")
-    account(network.setup, network.folder)
+    account(network.setup, network.folder, network.tempo)
 
 
 def kills(options: Annotated[KillOptions, tyro.conf.arg(name="")]) -> None:

@@ -45,7 +45,7 @@ class Running:
     ) -> None:
         self.setup, self.folder = setup, folder
         self._arguments = setup, run, folder / "run.mcap", port
-        self._tempo = tempo
+        self.tempo = tempo
         # Why it ended before its time, if it did.
         self.failure: Exception | None = None
         self._begun = threading.Event()
@@ -57,7 +57,7 @@ class Running:
 
     def _work(self) -> None:
         try:
-            over_processes(*self._arguments, lambda step: self._begun.set(), self._tempo)
+            over_processes(*self._arguments, lambda step: self._begun.set(), self.tempo)
         except Exception as error:
             self.failure = error
             self._begun.set()
