@@ -14,8 +14,8 @@ from concord.runtime.network.links import wants_router
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.studies.agree import DriverDifference, first_difference
+from tests.experiments.command_support import concord
 from tests.experiments.support import scenario, small, trace_of
-from tests.features.flexray_tools.flexray_support import concord
 from tests.nodes.test_faults import SWARM
 
 pytestmark = pytest.mark.slow

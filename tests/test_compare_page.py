@@ -6,7 +6,7 @@ import pytest
 
 from concord.entries import summaries
 from concord.studies.compare.suite import SUITE
-from tests.features.flexray_tools.flexray_support import concord
+from tests.experiments.command_support import concord
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
 pytestmark = pytest.mark.slow

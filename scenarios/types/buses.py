@@ -35,6 +35,8 @@ class SharedBus(Choice, frozen=True, kw_only=True):
 
     partial_schedule: ClassVar[str] = "dynamic"
     serves_urgency: ClassVar[bool] = False
+    if TYPE_CHECKING:  # Each kind declares the schedules that it can have.
+        schedule: BusSchedule
 
 
 ALL_CHANNELS: Literal["all"] = "all"

@@ -17,7 +17,7 @@ from concord.bus.pcap import (
     write_pcap,
 )
 from tests.bus.support import frames, quick
-from tests.features.flexray_tools.flexray_support import dissect
+from tests.experiments.command_support import dissect
 
 needs_tshark = pytest.mark.skipif(
     shutil.which("tshark") is None, reason="tshark is not installed (apt-get install tshark)"

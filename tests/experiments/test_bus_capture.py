@@ -24,7 +24,7 @@ from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
 from concord.scenarios.setup import Setup
 from tests.experiments.bus_runs import run
-from tests.features.flexray_tools.flexray_support import concord, dissect, needs_tshark, refused
+from tests.experiments.command_support import concord, dissect, needs_tshark, refused
 
 # --- what a run leaves -------------------------------------------------------------------------
 

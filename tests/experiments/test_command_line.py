@@ -14,7 +14,7 @@ from concord._version import __version__
 from concord.entries import entries
 from concord.experiments.cli.command_line import main
 from concord.experiments.repeated_options import refuse_repeated
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")

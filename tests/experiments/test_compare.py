@@ -18,7 +18,7 @@ from concord.studies.compare.run import KEPT, compute_missing, kept_before
 from concord.studies.compare.suite import SUITE
 from concord.studies.compare.tables import latex
 from concord.studies.sweep.workers import in_this_process
-from tests.features.flexray_tools.flexray_support import concord
+from tests.experiments.command_support import concord
 from tests.processes import CONCORD, family, interrupted
 
 pytestmark = pytest.mark.slow

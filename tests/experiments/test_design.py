@@ -32,7 +32,7 @@ from concord.studies.design.space import (
 from concord.studies.design.target import BusLimits, DesignTarget, error_of, parse_target
 from concord.studies.sweep.pieces import Piece
 from concord.studies.sweep.specification import shown, specify
-from tests.features.flexray_tools.flexray_support import concord
+from tests.experiments.command_support import concord
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ from concord.experiments.cli import doctor
 from concord.experiments.cli.doctor import Finding, Verdict
 from concord.runtime.network.zenoh_transport import LinkError
 from concord.studies.memory import available_memory_mb
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
 

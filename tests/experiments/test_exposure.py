@@ -11,7 +11,7 @@ import pytest
 from concord.experiments.cli import dashboard as dashboard_command
 from concord.runtime.network.network_file import NetworkAddresses, read_network, write_network
 from concord.studies.sweep.store import folder_of, load_arrays, save_arrays
-from tests.features.flexray_tools.flexray_support import concord
+from tests.experiments.command_support import concord
 from tests.features.hosts.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 

@@ -16,7 +16,7 @@ from concord.studies.few_samples import (
     few_runs,
     few_steps,
 )
-from tests.features.flexray_tools.flexray_support import concord
+from tests.experiments.command_support import concord
 
 OSCILLATOR = ("--scenario", "oscillator", "--nodes", "3")
 FIRST = 20  # the step from which the oscillator is scored

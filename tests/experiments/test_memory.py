@@ -14,7 +14,7 @@ from concord.scenarios.scenario_options import scenario_of
 from concord.studies import memory
 from concord.studies.memory import check_memory, check_workers, needed_bytes
 from concord.studies.monte_carlo.simulate import simulate
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from concord.studies.design.results import read_design
 from concord.studies.sweep.run import begin, finish
 from concord.studies.sweep.specification import specify
 from concord.studies.sweep.workers import in_this_process
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

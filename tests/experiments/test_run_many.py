@@ -18,8 +18,8 @@ from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.many_figures import lines, summarise
 from concord.studies.monte_carlo.simulate import simulate
+from tests.experiments.command_support import Said, concord
 from tests.experiments.support import small
-from tests.features.flexray_tools.flexray_support import Said, concord
 
 RUNS = range(2, 5)
 SETUPS = {

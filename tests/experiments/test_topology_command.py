@@ -11,8 +11,8 @@ from concord.studies.topology.report import losses_of, suspects
 from concord.studies.topology.subject import SubjectOptions, subject_of
 from concord.topology.analysis import analyse
 from concord.topology.graph_files import read_network
+from tests.experiments.command_support import concord
 from tests.experiments.support import small
-from tests.features.flexray_tools.flexray_support import concord
 
 pytestmark = pytest.mark.slow
 

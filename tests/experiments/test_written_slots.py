@@ -10,8 +10,8 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
 from concord.studies.near_agreement import departures
+from tests.experiments.command_support import concord, refused
 from tests.experiments.support import scenario
-from tests.features.flexray_tools.flexray_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

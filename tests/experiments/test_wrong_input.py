@@ -8,7 +8,7 @@ import pytest
 
 from concord.experiments.__main__ import main
 from concord.results.records.netcdf_file import RECORDING
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 from tests.processes import PROC
 
 # By command, options and what is said of them.

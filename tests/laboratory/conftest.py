@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.features.flexray_tools.flexray_support import Said
+from tests.experiments.command_support import Said
 from tests.laboratory.__main__ import main
 
 

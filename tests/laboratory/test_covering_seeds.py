@@ -16,7 +16,7 @@ from concord.runtime.recording import MemoryRecorder
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.preparation import complete_settings, prepare
 from concord.scenarios.script import script_of
-from tests.features.flexray_tools.flexray_support import Said
+from tests.experiments.command_support import Said
 from tests.laboratory.case import draw_case
 from tests.laboratory.coverage import State, covering, states_of, words_of
 

@@ -18,8 +18,8 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from concord.scenarios.types.assignment import flat
 from concord.studies.check.shrinking import shrink
+from tests.experiments.command_support import Said
 from tests.experiments.support import scenario
-from tests.features.flexray_tools.flexray_support import Said
 from tests.laboratory.broken import Broken
 from tests.laboratory.bugs import BUGS, Bug, first_found, likely_seeds, planted
 from tests.laboratory.case import (

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from tests.features.flexray_tools.flexray_support import Said
+from tests.experiments.command_support import Said
 from tests.laboratory.bugs import LIVES_BUGS, MOST_LIVES, Bug, first_found, run_life
 from tests.laboratory.lives.case import draw_lives
 from tests.laboratory.lives.network import run_lives

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from concord.features.recorded.sighting import Sighting
 from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, LabelledShare
@@ -92,12 +91,6 @@ def test_entries_that_no_sensor_of_a_node_has_are_not_written():
     assert several is not None
     delivered = np.array([[np.nan, np.nan, np.nan], [1.0, 2.0, np.nan]])
     np.testing.assert_array_equal(several.decode(several.encode(delivered) or b""), delivered)
-
-
-def test_readings_that_mean_something_together_are_not_quantised():
-    codec = record_codec(Sighting(), (1, 5), "<i2")
-    assert codec is not None and codec.number == "<f4" and codec.rounding_cov is None
-    assert record_codec(None, (1, 5), "<i2") is None
 
 
 # --- frames --------------------------------------------------------------------------------------

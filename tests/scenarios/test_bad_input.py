@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from concord.experiments.__main__ import main
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 UNKNOWN_NAMES = [
     ("--scenario target-traking", "scenario 'target-traking'", "'target-tracking'"),

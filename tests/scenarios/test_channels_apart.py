@@ -15,8 +15,8 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.studies.agree import agreement
+from tests.experiments.command_support import concord, refused
 from tests.experiments.support import scenario
-from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.laboratory.case import draw_case
 from tests.laboratory.case_run import run_case
 from tests.laboratory.script import is_harmless

@@ -29,9 +29,9 @@ from concord.scenarios.user.bus import broken_promises
 from concord.studies.agree import agreement
 from concord.studies.near_agreement import departures
 from tests.dashboard.runs import frames_of
+from tests.experiments.command_support import concord, dissect, needs_tshark, refused
 from tests.experiments.support import scenario
 from tests.experiments.test_bus_capture import packets
-from tests.features.flexray_tools.flexray_support import concord, dissect, needs_tshark, refused
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import pytest
 
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.presets import AUDI
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 from tests.pages import ROOT, commands
 
 CLOCKS = ("flexray", "clocks")

@@ -11,7 +11,7 @@ from concord.bus.flexray.levels import LEVELS
 from concord.bus.flexray.presets import DEMO, PRESETS
 from concord.features.flexray_tools.commands.clusters import Level, derived, read_cluster
 from concord.features.flexray_tools.files.fibex import cluster_to_fibex
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 
 @pytest.mark.parametrize("name", PRESETS)

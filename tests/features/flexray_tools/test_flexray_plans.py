@@ -28,8 +28,8 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.schedules import occupancy_of
+from tests.experiments.command_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
-from tests.features.flexray_tools.flexray_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

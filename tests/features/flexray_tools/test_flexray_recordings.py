@@ -9,7 +9,7 @@ from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS
 from concord.features.flexray_tools.commands.clusters import read_cluster
 from concord.features.flexray_tools.recordings.waveform import Waveform
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 from tests.features.flexray_tools.signals import encode_bits, format_waveform, from_bits
 
 BIT_NS, SLOT_NS = 100.0, 60_000.0

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,7 @@ from concord.bus.pcap import write_pcap
 from concord.features.flexray_tools.recordings.decoder import Decoding
 from concord.features.flexray_tools.timeline import BAR_COLUMNS, timeline
 from tests.bus.support import dynamic_segments, quick, served
-from tests.features.flexray_tools.flexray_support import dissect, needs_tshark
+from tests.experiments.command_support import dissect, needs_tshark
 
 
 def test_recorded_frames_are_where_the_model_puts_them(audi: Decoding):

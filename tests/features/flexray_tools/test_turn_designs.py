@@ -19,8 +19,8 @@ from concord.features.flexray_tools.slot_design.aged_readings import aged_cov, s
 from concord.features.flexray_tools.slot_design.turns import CycleTurn
 from concord.scenarios.preparation import prepare
 from concord.studies.monte_carlo.simulate import simulate
+from tests.experiments.command_support import concord
 from tests.experiments.support import scenario
-from tests.features.flexray_tools.flexray_support import concord
 
 NETWORK = ("--nodes", 4, "--graph", "complete", "--rule", "labelled")
 OSCILLATOR = ("--scenario", "oscillator", *NETWORK)

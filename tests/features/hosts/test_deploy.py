@@ -13,8 +13,8 @@ import pytest
 from concord.experiments.__main__ import main
 from concord.results.folder import read_description
 from concord.runtime.network.links import free_ports
+from tests.experiments.command_support import concord, refused
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command
-from tests.features.flexray_tools.flexray_support import concord, refused
 from tests.features.hosts.hosts import hosts
 from tests.features.hosts.test_hosts import write_setup
 from tests.pages import ROOT, blocks

@@ -16,8 +16,8 @@ from concord.runtime.network.control_client import Client, NotThere
 from concord.runtime.network.links import ZenohEndpoints, checked_endpoints, checked_run, free_ports
 from concord.runtime.network.zenoh_transport import Transport
 from concord.studies.agree import first_difference
+from tests.experiments.command_support import concord
 from tests.experiments.support import trace_of
-from tests.features.flexray_tools.flexray_support import concord
 from tests.features.hosts.hosts import Hosts, hosts
 from tests.processes import PATIENCE_S, PROC, holds_within
 

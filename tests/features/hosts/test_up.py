@@ -11,9 +11,9 @@ from concord.results.folder import read_description
 from concord.runtime.drivers import in_this_process
 from concord.runtime.network.links import free_ports
 from concord.studies.agree import first_difference
+from tests.experiments.command_support import concord
 from tests.experiments.support import trace_of
 from tests.experiments.test_clusters import stand_in
-from tests.features.flexray_tools.flexray_support import concord
 from tests.features.hosts.test_hosts import write_setup
 from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
 

@@ -11,6 +11,7 @@ from concord.features.recorded.confined_motion import ConfinedMotion
 from concord.features.recorded.mrclam import recorded_target
 from concord.features.recorded.mrclam_files import read_recording
 from concord.features.recorded.sighting import Sighting
+from concord.nodes.rules.labelled.record_codec import record_codec
 
 SET_6 = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mrclam6"
 
@@ -318,3 +319,9 @@ def test_set_6_shows_its_published_traps(recording, plants):
         begin = np.flatnonzero(sighted(plant).any(axis=1))[0] * plant.time_step_s
         assert 7 <= begin <= 34
         assert np.nanmax(np.abs(np.diff(plant.truth[:, :2], axis=0))) < 0.3 * plant.time_step_s
+
+
+def test_readings_that_mean_something_together_are_not_quantised():
+    codec = record_codec(Sighting(), (1, 5), "<i2")
+    assert codec is not None and codec.number == "<f4" and codec.rounding_cov is None
+    assert record_codec(None, (1, 5), "<i2") is None

@@ -23,8 +23,8 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare, setup_of_run
 from concord.scenarios.setup import generator
 from concord.studies.monte_carlo.many_figures import summarise
+from tests.experiments.command_support import concord
 from tests.experiments.support import scenario
-from tests.features.flexray_tools.flexray_support import concord
 from tests.features.several_targets.tracking.position_sensor import settings, tracks_at
 from tests.pages import blocks, commands
 

@@ -11,7 +11,7 @@ from concord.experiments.__main__ import main
 from concord.features.vehicle.plant.drive_log import write_drive
 from concord.features.vehicle.plant.model import axles_of, linear_tyre
 from concord.features.vehicle.plant.parameters import BMW_320I, car_from_toml
-from tests.features.flexray_tools.flexray_support import concord, refused
+from tests.experiments.command_support import concord, refused
 from tests.features.vehicle.test_tyre_identification import TRUE, drive
 
 pytestmark = pytest.mark.filterwarnings("error")
