@@ -66,7 +66,7 @@ def _seen(state: np.ndarray, step: int, fresh: np.ndarray) -> np.ndarray:
             some = NoiseSecondMoment(moment.pi[:, rows][:, :, rows], moment.gamma)
             found[which] = _information(
                 lambda x, rows=rows: SYSTEM.measure(x, step)[..., rows],
-                state[which], noise[np.ix_(rows, rows)], some,
+                state[which], noise[rows][:, rows], some,
             ).own  # fmt: skip
     return found
 

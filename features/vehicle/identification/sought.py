@@ -181,7 +181,7 @@ def told(every: tuple[Sought, ...], precision: np.ndarray) -> np.ndarray:
     noise = np.array([one.is_noise for one in every])
     while kept.any():
         std = np.full(len(every), -np.inf)
-        std[kept] = np.sqrt(np.diagonal(np.linalg.inv(precision[np.ix_(kept, kept)])))
+        std[kept] = np.sqrt(np.diagonal(np.linalg.inv(precision[kept][:, kept])))
         std[noise] = -np.inf
         worst = int(np.argmax(std))
         if std[worst] <= SEEN:
