@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import matplotlib
 import msgspec
 import numpy as np
 import tyro
@@ -24,10 +23,6 @@ from concord.features.flexray_tools.clocks.clock_run import (
 )
 from concord.features.flexray_tools.commands.clusters import read_cluster
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
-
 
 def draw(spreads_us: np.ndarray, bound_us: float, out: Path) -> None:
     """Write a picture of the largest difference of two active nodes' clocks in each cycle.
@@ -35,6 +30,12 @@ def draw(spreads_us: np.ndarray, bound_us: float, out: Path) -> None:
     Args:
         spreads_us: (cycles,). bound_us: the assumed precision.
     """
+    # Only here: most runs of the command draw nothing.
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
     figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
     axes.plot(np.arange(1, len(spreads_us) + 1), spreads_us, linewidth=0.7, label="reached")
     axes.axhline(bound_us, color="black", linestyle="--", label="assumed precision")
