@@ -71,7 +71,7 @@ REFUSED = {
     ],
     "keys keys": [
         ("", "--nodes is missing"),
-        ("--check", "no authority there"),
+        ("--check", "no keys there"),
         ("--nodes 2 --hosts a/b", "neither a host name"),
     ],
     "flexray design-turns --scenario target-tracking": [
