@@ -1,18 +1,17 @@
 """Test that the targets of a page's links exist: files, pictures, other pages."""
 
+import ast
 import re
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from tests.pages import ROOT
+from tests.pages import ROOT, blocks
 
+FOLDERS = sorted(link.name for link in (ROOT / "concord").iterdir() if link.is_symlink())
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-WAYS_IN = [
-    ROOT / "ARCHITECTURE.md",
-    ROOT / "docs" / "decisions.md",
-    *(ROOT / "docs").glob("adding_a_*.md"),
-]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -27,9 +26,27 @@ def test_pages_point_to_each_other():
     assert sum(len(re.findall(r"\]\([^)]+\.(?:md|png)", text)) for text in texts) > 20
 
 
-@pytest.mark.parametrize("page", WAYS_IN, ids=lambda page: page.name)
-def test_a_page_for_developers_names_files_that_are_there(page: Path):
-    named = re.findall(
-        r"`((?:[a-z_0-9]+/)+[a-z_0-9]*(?:\.\w+)?)`", page.read_text(encoding="utf-8")
-    )
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_names_folders_and_files_of_the_source_that_are_there(page: Path):
+    pattern = rf"`((?:{'|'.join(FOLDERS)})/[a-z_0-9/]*(?:\.\w+)?)`"
+    named = re.findall(pattern, page.read_text(encoding="utf-8"))
     assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_python_code_of_a_page_imports_what_is_there(page: Path):
+    codes = blocks(page.read_text(encoding="utf-8"), "python")
+    imports = [
+        (node.module, name.name)
+        for code in codes
+        if "from concord" in code
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("concord")
+        for name in node.names
+    ]
+    assert [pair for pair in imports if not _imports(*pair)] == []
+
+
+def _imports(module: str | None, name: str) -> bool:
+    assert module
+    return hasattr(import_module(module), name) or find_spec(f"{module}.{name}") is not None

@@ -45,4 +45,5 @@ NAMES = {
         f"{_HERE}.own_measured:on_a_measurement_bus",
         "A scenario of your own plant whose sensors share a bus to one estimator.",
     ),
+    "SensorSlots": (f"{_HERE}.options:SensorSlots", "Slots of the sensors on such a bus."),
 }

@@ -161,7 +161,7 @@ BUGS = (
     ),
     Bug(
         "a guardian blocks nobody",
-        "concord.nodes.faults.links",
+        "concord.nodes.faults.retries",
         "collides",
         (('if owned and faults.at("guardian", way.step):', "if False:"),),
     ),
@@ -258,6 +258,7 @@ def planted(bug: Bug) -> Iterator[None]:
     holder, _, name = bug.function.rpartition(".")
     owner = getattr(module, holder) if holder else module
     sound = owner.__dict__[name]
+    assert sound.__module__ == bug.module, f"{bug.name}: it stands in {sound.__module__} now"
     text = textwrap.dedent(inspect.getsource(sound))
     for stands, shall in bug.texts:
         assert text.count(stands) == 1, f"{bug.name}: {stands!r} stands there no more"

@@ -59,7 +59,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
             sensor=lambda _, node: plant.sensor(node),
             score=Score((0,), "1", (0,), 0),
         )
-        monkeypatch.setattr(catalogue, "_DEFINITIONS", {"oscillator": definition})
+        monkeypatch.setattr(catalogue, "chosen", lambda *_: definition)
         return prepare(defaults.with_(**changes))
 
     return make

@@ -5,7 +5,7 @@ the acceleration is the body accelerometer's, vx' - yaw rate vy. Angles may be l
 with the road wheels, and slips are arctangents. The driven axle has all of the longitudinal force.
 
 Source: Newton and Euler in the plane of the road; docs/vehicle.md, equations 1-5.
-`papers/adlukf/small_angles.py` has the model of the ADLUKF paper, linear in the angles.
+`papers/adlukf/study.py` has the model of the ADLUKF paper, linear in the angles.
 """
 
 from collections.abc import Callable

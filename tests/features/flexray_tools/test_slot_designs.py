@@ -8,7 +8,7 @@ from tests.experiments.command_support import concord, refused
 
 pytestmark = pytest.mark.slow
 
-FRAMES = Path(__file__).resolve().parents[2] / "examples" / "frames.toml"
+FRAMES = Path(__file__).resolve().parents[3] / "examples" / "frames.toml"
 DESIGN = ("flexray", "design-slots", FRAMES, "--cluster", "audi")
 
 
