@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from concord import filters as filters
     from concord import topology as topology
     from concord.experiments.python_api import agree as agree
+    from concord.experiments.python_api import figures as figures
     from concord.experiments.python_api import launch as launch
     from concord.experiments.python_api import load as load
     from concord.experiments.python_api import scenario as scenario

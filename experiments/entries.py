@@ -96,6 +96,10 @@ COMMANDS = {
     ),
 }
 NAMES = {
+    "figures": (
+        f"{_API}:figures",
+        "The figures of runs: those of `concord run --json`, under the same names.",
+    ),
     "agree": (
         f"{_API}:agree",
         "Where the drivers differ on a scenario; empty if they agree (contract 5 of "

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 
 from concord.dashboard.sweeps.swept import CellQuantity, SweptCells
@@ -44,8 +43,8 @@ _FIGURES: tuple[tuple[str, str, float | None], ...] = (
     ("coverage", "coverage", 0.95),
     ("bus load", "bus_load", None),
     ("delay [µs]", "delay_us", None),
-    ("age of shares [cycles]", "share_age_cycles", None),
-    ("energy a step [mJ]", "energy_per_step_mj", None),
+    ("age of shares [cycles]", "share_age", None),
+    ("energy a step [mJ]", "energy_per_step", None),
     ("settling [steps]", "settling_steps", None),
 )
 
@@ -54,11 +53,10 @@ def swept_of(dataset: "xarray.Dataset", name: str) -> SweptCells:
     """Return the result of a sweep as its page shows it."""
     specification, parts = specification_of(dataset), flattened(dataset)
     figures = figures_of(dataset)
-    found = [msgspec.structs.asdict(cell) for cell in figures.cells]
     quantities = tuple(
         CellQuantity(heading.format(unit=figures.unit), intervals, reference)
         for heading, field, reference in _FIGURES
-        for intervals in [np.array([cell[field] for cell in found], dtype=np.float64)]
+        for intervals in [np.array([cell[field] for cell in figures.cells], dtype=np.float64)]
         if np.isfinite(intervals[:, 0]).any()
     )
     runs = np.arange(specification.runs)

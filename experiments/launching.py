@@ -6,8 +6,10 @@ Reason for a file of its own: it starts processes, which other functions of Pyth
 from pathlib import Path
 
 from concord.experiments.page_process import PageProcess
+from concord.results.figures.summary import heard_by_all
 from concord.results.folder import describe, new_folder, write_description
 from concord.results.records.netcdf_file import RECORDING
+from concord.results.records.runs import runs_of_trace
 from concord.results.run_results import completed, write_results
 from concord.runtime.drivers import over_processes
 from concord.scenarios.setup import Setup
@@ -31,5 +33,7 @@ def launched(setup: Setup, out: Path | None, dashboard: bool) -> Path:
         over_processes(setup, name, folder / RECORDING, None, on_step)
     finally:
         page.close()
-    write_results(folder, description, completed(folder, description))
+    trace = completed(folder, description)
+    runs = runs_of_trace(setup, trace)
+    write_results(folder, description, trace, runs, heard=heard_by_all(runs))
     return folder

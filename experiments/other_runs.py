@@ -71,7 +71,7 @@ def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: 
     bound = np.full(len(low), np.nan)
     if bounded:
         states = list(definition_of(setup.scenario).score.states)
-        variances = np.diagonal(bound_of(setup, histories), axis1=-2, axis2=-1)
+        variances = np.diagonal(bound_of(histories), axis1=-2, axis2=-1)
         bound = np.sqrt(variances[:, states].sum(axis=-1))
     return NeesRange(_plain(low), _plain(high), _plain(bound))
 

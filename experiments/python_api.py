@@ -3,8 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from concord.results.records.histories_file import histories_dataset
+import msgspec
+
 from concord.results.records.netcdf_file import ARRAYS, open_dataset
+from concord.results.records.runs_file import runs_dataset, runs_of_dataset
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
@@ -52,7 +54,26 @@ def simulate(scenario: Scenario, runs: int = 1, *, covariances: bool = False) ->
     setup = prepare(scenario)
     keep = (READINGS, AGES, *((COV,) if covariances else ()))
     first = scenario.run
-    return histories_dataset(simulate_setup(setup, range(first, first + runs), keep=keep))
+    return runs_dataset(simulate_setup(setup, range(first, first + runs), keep=keep))
+
+
+def figures(runs: "xarray.Dataset") -> dict[str, Any]:
+    """The figures of runs: those of `concord run --json`, under the same names.
+
+    Args:
+        runs: what `simulate`, `launch` or `load` returned.
+
+    Returns:
+        "verdict" with its level and cause, "rmse", "anees" and more, each [value, low, high], and
+        "nodes" with those of each node; docs/results.md has the table.
+
+    Raises:
+        ValueError: a data set that holds no runs.
+    """
+    # Only here: most programs of Python want the arrays.
+    from concord.results.figures.summary import summarise
+
+    return msgspec.json.decode(summarise(runs_of_dataset(runs)).as_json())
 
 
 @python_words()

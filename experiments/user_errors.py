@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-USER_ERROR = 2
+FAILED, USER_ERROR = 1, 2
 _LONG_WORD = re.compile(r"(\S{60})\S{940,}")
 
 

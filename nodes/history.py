@@ -8,7 +8,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
 
@@ -29,11 +29,15 @@ class Epoch(NamedTuple):
 
 
 class AbsentSteps(NamedTuple):
-    """A node took no part from `first_step` to before `end_step`; None is to the end."""
+    """A node took no part from `first_step` to before `end_step`; None is to the end.
+
+    `why`: on command, since its process was gone, or in real time since its estimate came late.
+    """
 
     node: int
     first_step: int
     end_step: int | None
+    why: Literal["asked", "gone", "late"] = "asked"
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class History:
     def _out(self) -> dict[int, tuple[list[int], list[float]]]:
         """By node: the steps from which it is out, in order, and how far any up to each reaches."""
         found: dict[int, tuple[list[int], list[float]]] = {}
-        for node, first, end in sorted(self.absent_steps, key=lambda one: one.first_step):
+        for node, first, end, _ in sorted(self.absent_steps, key=lambda one: one.first_step):
             begins, reaches = found.setdefault(node, ([], []))
             begins.append(first)
             reaches.append(max([inf if end is None else end, *reaches[-1:]]))
@@ -116,7 +120,8 @@ def with_event(history: History, event: Event) -> History:
             return replace(history, epochs=(*history.epochs, epoch))
         case Left(node) | Gone(node):
             place = _open(absent, node)
-            since = AbsentSteps(node, step, None)
+            why = "gone" if isinstance(event.change, Gone) else "asked"
+            since = AbsentSteps(node, step, None, why)
             if place is not None:
                 since = min(since, absent[place], key=lambda one: one.first_step)
             return replace(history, absent_steps=_with(absent, place, since))
@@ -152,7 +157,7 @@ def with_holes(
     every (step, node), of so many nodes and steps.
     """
     holes = tuple(
-        AbsentSteps(node, step, step + 1)
+        AbsentSteps(node, step, step + 1, "late")
         for node in range(nodes)
         for step in range(steps)
         if (step, node) not in recorded and history.is_in(node, step)

@@ -4,28 +4,16 @@ import platform
 import subprocess
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 
 from concord._version import __version__
-from concord.filters.metrics import consensus
 from concord.nodes.tempo import Tempo
-from concord.results.bus.bus_report import times_of
-from concord.results.innovations.of_run import (
-    RunInnovations,
-    innovation_variables,
-    run_innovations,
-)
 from concord.results.places import new_name
-from concord.results.records.extras import run_extras
 from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
-from concord.results.records.record_spread import record_ages
-from concord.results.records.trace import Trace
+from concord.results.verdict.findings import Verdict
 from concord.runtime.json_file import read_json, write_json
-from concord.scenarios.catalogue import definition_of, scored_nees
-from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -34,7 +22,7 @@ if TYPE_CHECKING:
 import shutil
 
 from concord.disk import writing
-from concord.results.records.netcdf_file import ARRAYS, optional_variables, state_coordinates
+from concord.results.records.netcdf_file import ARRAYS
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.schedules import arbiter_of
@@ -95,7 +83,10 @@ _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
 
 class Description(msgspec.Struct, frozen=True):
-    """Description of a run and its versions, enough to repeat it; `tempo` only in real time."""
+    """Description of a run and its versions, enough to repeat it; `tempo` only in real time.
+
+    `verdict` is that of its figures; None before they were computed.
+    """
 
     run: str
     driver: str
@@ -104,6 +95,7 @@ class Description(msgspec.Struct, frozen=True):
     versions: dict[str, str]
     commit: str | None
     tempo: Tempo | None = None
+    verdict: Verdict | None = None
 
 
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
@@ -175,6 +167,12 @@ def write_description(folder: Path, description: Description) -> None:
     write_json(folder / DESCRIPTION, description)
 
 
+def write_verdict(folder: Path, verdict: Verdict) -> None:
+    """Write the verdict into run.json."""
+    description = read_description_file(folder / DESCRIPTION)
+    write_json(folder / DESCRIPTION, msgspec.structs.replace(description, verdict=verdict))
+
+
 def read_description(folder: Path) -> Description:
     """Read run.json.
 
@@ -214,98 +212,15 @@ def recording_of(folder: Path) -> Path:
     return recording
 
 
-def write_arrays(
-    folder: Path,
-    description: Description,
-    trace: Trace,
-    innovations: RunInnovations | None = None,
-) -> None:
-    """Write run.nc: the trace with named dimensions and units, errors, NEES and innovations.
-
-    `innovations` are computed where they are not given.
-    """
-    # Loading xarray can take longer than a run, so it is loaded only to write a file.
-    import xarray
-
-    setup = description.setup
-    definition = definition_of(setup.scenario)
-    names = definition.plant(setup.scenario).state_names
-    truth = trace.truth[:, None, :]
-    state = ("step", "node", "state")
-    score = list(definition.score.nees_states)
-    errors = trace.mean - truth
-    variables: dict[str, Any] = {
-        "truth": (("step", "state"), trace.truth),
-        "mean": (state, trace.mean),
-        "cov": ((*state, "other_state"), trace.cov),
-        "error": (state, errors),
-        "nees": (
-            ("step", "node"),
-            scored_nees(setup.scenario, errors, trace.cov),
-            {"states": [names[i] for i in score], **_meaning(setup)},
-        ),
-        "disagreement": (state, trace.mean - consensus(trace.mean)),
-        "readings": (("step", "node", "reading", "channel"), trace.readings),
-        "published": (("step", "round", "node"), trace.published.astype(np.int8)),
-        "ages": (("step", "node", "neighbour"), trace.ages, {"units": "communication cycles"}),
-        "missed": (("node",), np.array([c.get("missed", 0) for c in trace.counters])),
-    }
-    if trace.spread is not None:
-        ages = record_ages(trace.spread).swapaxes(0, 1)
-        variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
-    if (extras := run_extras(setup.scenario)) is not None:
-        variables |= extras.variables(setup, trace.extra, trace.readings)
-    if trace.estimate_age_s is not None:
-        limit = {} if description.tempo is None else {"limit": description.tempo.oldest_s}
-        said = {"units": "s", "origin": "sampling instant of the step", **limit}
-        variables["estimate_age"] = (("step", "node"), trace.estimate_age_s, said)
-    if trace.duality_gap is not None:
-        said = {"meaning": "the trace of the set is within this fraction of the least"}
-        variables["duality_gap"] = (("step", "node"), trace.duality_gap, said)
-    if (found := innovations or run_innovations(setup, trace)) is not None:
-        variables |= innovation_variables(setup, found)
-    variables |= _bus_variables(setup, trace)
-    variables |= optional_variables(("step",), trace.control, trace.suspect, trace.past)
-    coordinates = state_coordinates(setup, trace.steps)
-    write_whole(folder, xarray.Dataset(variables, coordinates), description)
-
-
 def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
     """Write run.nc with what was run, or leave none."""
     dataset = dataset.assign_attrs(
         title=f"concord run {description.run}",
-        scenario=msgspec.json.encode(description.setup.scenario).decode(),
         driver=description.driver,
         seed=description.setup.scenario.seed,
         versions=msgspec.json.encode(description.versions).decode(),
         commit=description.commit or "unknown",
     )
+    if description.tempo is not None and "estimate_age_s" in dataset:
+        dataset["estimate_age_s"].attrs["limit"] = description.tempo.oldest_s
     write_dataset(dataset, folder / ARRAYS)
-
-
-def _meaning(setup: Setup) -> dict[str, str]:
-    """Return the meanings of cov and nees for set-valued estimates."""
-    if not is_set_valued(setup.scenario):
-        return {}
-    return {"meaning": "cov is the shape matrix P of a set e' P^-1 e <= 1 that holds the truth"}
-
-
-def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:
-    """Times on the bus as variables; none where the bus has no time."""
-    times = times_of(setup, trace)
-    if times is None:
-        return {}
-    per_share = ("step", "round", "node")
-    in_cycle = {"units": "us", "origin": "beginning of the communication cycle"}
-    return {
-        "asked": (per_share, trace.asked.astype(np.int8)),
-        "bus_cycle": (
-            ("step", "round"),
-            times.bus_cycle,
-            {"units": "1", "origin": "beginning of the run"},
-        ),
-        "bus_load": (("step", "round"), times.load, {"units": "1"}),
-        "delay_us": (("step",), times.delay_us, {"units": "us"}),
-        "share_start_us": (per_share, times.share_start_us, in_cycle),
-        "share_end_us": (per_share, times.share_end_us, in_cycle),
-    }

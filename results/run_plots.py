@@ -55,14 +55,12 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
 
 
 def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
-    """The arrays of R runs: mean (R, S, N, n), and so on; one run is one of one."""
+    """The arrays of R runs: mean (R, S, N, n), and so on."""
     path = folder / ARRAYS
     if not path.is_file():
         raise ValueError(f"{path}: there is none yet; `concord collect {folder}` makes it")
     again = f"`concord collect {folder}` makes it again where the folder has a run.mcap"
-    data = read_dataset(path, ("time", "truth", "mean", "nees", "readings", "ages"), again)
-    if "run" not in data.dims:
-        data = data.expand_dims(run=[description.setup.scenario.run])
+    data = read_dataset(path, ("run", "time", "truth", "mean", "nees", "readings", "ages"), again)
     states = len(description.setup.prior_mean)
     if data["mean"].shape[2:] != (description.setup.scenario.nodes, states):
         raise ValueError(f"{path}: is of other nodes or states than run.json; {again}")
@@ -180,11 +178,7 @@ def _ages(description: Description, data: "xarray.Dataset") -> "Figure":
     nodes = description.setup.scenario.nodes
     mean = np.full((nodes, nodes), np.nan)
     of_links = mean_of_known(found, (0, 1))
-    if "receiver" in data:
-        mean[data["receiver"].to_numpy(), data["sender"].to_numpy()] = of_links
-    else:
-        mean[:] = of_links
-    np.fill_diagonal(mean, np.nan)
+    mean[data["receiver"].to_numpy(), data["sender"].to_numpy()] = of_links
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(5.2, 4.6), layout="constrained")

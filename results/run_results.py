@@ -9,13 +9,15 @@ from concord.bus.pcap import FLEXRAY_LINK, write_pcap
 from concord.disk import writing
 from concord.results.bus.bus_capture import capture, check_all_cycles, traffic_of
 from concord.results.bus.node_capture import node_capture
-from concord.results.folder import NODE_CAPTURE, Description, recording_of, write_arrays
-from concord.results.innovations.of_run import RunInnovations
+from concord.results.folder import NODE_CAPTURE, Description, recording_of, write_whole
 from concord.results.records.netcdf_file import CAPTURE, RECORDING
+from concord.results.records.runs import Runs
+from concord.results.records.runs_file import runs_dataset
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_definition import frame_format
+from concord.scenarios.innovations import HearsAll
 from concord.scenarios.moves import with_moves
 from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup
@@ -73,14 +75,19 @@ def write_results(
     folder: Path,
     description: Description,
     trace: Trace,
+    runs: Runs,
     captures: Captures = NO_MORE,
-    innovations: RunInnovations | None = None,
+    heard: HearsAll | None = None,
 ) -> None:
     """Write run.nc, and where the bus has time bus.pcap and a capture for each node of these.
 
-    `innovations` are computed where they are not given.
+    Args:
+        folder, description: where to, and of what.
+        trace: what the recording says. runs: the record that is made of it.
+        captures: which captures.
+        heard: the filter that hears everything, where sensors have filters.
     """
-    write_arrays(folder, description, trace, innovations)
+    write_whole(folder, runs_dataset(runs, heard=heard), description)
     setup, recording = description.setup, folder / RECORDING
     frames = capture(setup, trace, read_recording(recording), captures.all_cycles)
     if frames is None:

@@ -5,22 +5,32 @@ once; this makes the rest of it when there is time.
 """
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.text import Text
 
-from concord.experiments.user_errors import user_errors
-from concord.results.figures.summary import Figures, summarise
-from concord.results.figures.summary_table import details, lines, opening, table
+from concord.experiments.user_errors import FAILED, user_errors
+from concord.results.figures.summary import Summary, heard_by_all, summarise
+from concord.results.figures.summary_table import (
+    LEGEND,
+    MOST_ROWS,
+    details,
+    lines,
+    opening,
+    table,
+    title_of,
+)
 from concord.results.figures.timing_figures import TimingFigures, figures_of
-from concord.results.folder import Description, read_description
-from concord.results.innovations.of_run import channel_table, run_innovations
+from concord.results.folder import Description, read_description, write_verdict
+from concord.results.innovations.presentation import channel_table
 from concord.results.records.netcdf_file import RECORDING
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import Trace
 from concord.results.run_results import (
     NO_MORE,
@@ -30,7 +40,6 @@ from concord.results.run_results import (
     completed,
     write_results,
 )
-from concord.results.run_verdict import LEGEND
 from concord.results.smoothing import (
     SmoothingFigures,
     check_smoothing,
@@ -39,10 +48,11 @@ from concord.results.smoothing import (
     smoothing_line,
     write_smoothed,
 )
+from concord.results.verdict.findings import Verdict
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
-from concord.studies.alternative import labelled_beside
+from concord.studies.alternative import BetterRule, labelled_beside
 
 CaptureCycles = Literal["used", "all"]
 """Cycles of the bus in a capture."""
@@ -89,7 +99,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
             check_smoothing(description.setup)
         finish_recording(options.folder / RECORDING)
         trace = completed(options.folder, description)
-    finish(
+    figures = finish(
         options.folder,
         description,
         trace,
@@ -98,6 +108,13 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
         captures,
         options.smooth,
     )
+    end_by(figures.verdict)
+
+
+def end_by(verdict: Verdict) -> None:
+    """End with exit code 1 where the verdict is FAILED."""
+    if verdict.has_failed:
+        sys.exit(FAILED)
 
 
 def finish(
@@ -108,21 +125,20 @@ def finish(
     shown: FiguresForm,
     captures: Captures = NO_MORE,
     smooth: bool = False,
-) -> None:
+) -> Summary:
     """Write run.nc and the captures, with `smooth` smoothed.nc, and print the figures."""
     description = as_it_ran(description, trace)
-    innovations = run_innovations(description.setup, trace)
-    write_results(folder, description, trace, captures, innovations)
-    found = summarise(description.setup, trace, innovations)
-    figures = msgspec.structs.replace(
-        found,
+    runs = runs_of_trace(description.setup, trace)
+    heard = heard_by_all(runs)
+    write_results(folder, description, trace, runs, captures, heard)
+    found = summarise(runs, heard=heard)
+    figures = found.with_details(
         timing=_timing(folder, description, trace),
-        steps_per_second=pace.steps_per_second,
-        ready_s=pace.ready_s,
-        labelled=labelled_beside(description.setup, trace, found.first_step),
+        **pace._asdict(),
         smoothing=_smoothing(folder, description, trace, found.first_step) if smooth else None,
     )
-    _show(figures, description, shown)
+    show(figures, description, folder, shown, labelled_beside(runs, figures))
+    return figures
 
 
 def _smoothing(
@@ -140,28 +156,48 @@ def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigur
     return figures_of(description.tempo, messages, trace.counters, trace.estimate_age_s)
 
 
-def _show(figures: Figures, description: Description, shown: FiguresForm) -> None:
+def show(
+    figures: Summary,
+    description: Description,
+    folder: Path,
+    shown: FiguresForm,
+    better: BetterRule | None = None,
+) -> None:
+    """Keep the verdict in run.json; print the figures of runs, and what comes next."""
+    write_verdict(folder, figures.verdict)
     if shown.as_json:
-        sys.stdout.write(msgspec.json.encode(figures).decode() + "\n")
+        told = figures if better is None else figures.with_details(labelled=better._asdict())
+        sys.stdout.write(told.as_json().decode() + "\n")
         return
-    console = Console()
-    scenario = description.setup.scenario
-    title = (
-        f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
-        f"{scenario.rounds} rounds, seed {scenario.seed}, {description.driver}"
-    )
-    for line in opening(figures):
-        console.print(line, style="bold", highlight=False)
-    console.print(table(figures, title))
-    if figures.smoothing is not None:
-        console.print(smoothing_line(figures.smoothing, figures.unit), highlight=False)
+    console, scenario = Console(), description.setup.scenario
+    first, *others = opening(figures, scenario, description.driver)
+    console.print(Text(first), style="bold", highlight=False)
+    for line in others:
+        console.print(Text(line), highlight=False)
+    if shown.verbose or len(figures.nodes) <= MOST_ROWS:
+        console.print(table(figures, title_of(scenario, description.driver)))
     innovations = figures.innovations
-    if innovations is not None and (shown.verbose or np.isnan(figures.rmse)):
+    if innovations is not None and (shown.verbose or np.isnan(figures.value("rmse"))):
         console.print(channel_table(innovations))
-    for line in (*lines(figures), *(details(figures) if shown.verbose else ())):
-        console.print(line, highlight=False)
-    if figures.containment is None:
+    smoothing = figures.details.get("smoothing")
+    more = [] if smoothing is None else [smoothing_line(smoothing, figures.unit)]
+    for line in (*more, *lines(figures), *(details(figures) if shown.verbose else ())):
+        console.print(Text(line), highlight=False)
+    if shown.verbose:
         for line in LEGEND:
             console.print(line, style="dim", highlight=False)
-    if figures.verdict is not None:
-        console.print(f"verdict: {figures.verdict}", style="bold", highlight=False)
+    for line in (f"Files: {folder}", *_next(figures, folder, better, shown.verbose)):
+        console.print(Text(line), highlight=False, soft_wrap=True)
+
+
+def _next(
+    figures: Summary, folder: Path, better: BetterRule | None, is_verbose: bool
+) -> Iterator[str]:
+    """Yield what a reader may want to run next."""
+    see = f"concord replay {folder}" if figures.runs == 1 else f"concord plot {folder}"
+    yield f"Next:  {see}"
+    if better is not None:
+        yield f"       {better.command}"
+        yield f"         that is {better.in_words()}"
+    if not is_verbose and len(figures.nodes) > MOST_ROWS:
+        yield "       --verbose shows each node"

@@ -2,10 +2,10 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
@@ -30,10 +30,6 @@ from concord.studies.sweep.specification import shown
 
 if TYPE_CHECKING:
     import xarray
-
-    from concord.results.figures.summary import Figures
-    from concord.results.folder import Description
-    from concord.studies.monte_carlo.many_figures import ManyFigures
 
 
 @dataclass(frozen=True)
@@ -100,22 +96,29 @@ def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
     summary = summary_of(dataset)
     fields = specification_of(dataset).dimensions
     units = {"rmse": f" [{summary.unit}]", "disagreement": f" [{summary.unit}]"}
-    columns = [name for name in summary.cells[0].__struct_fields__ if name != "cell"]
+    columns = [
+        n for n in summary.cells[0].figures if any(c[n].value == c[n].value for c in summary.cells)
+    ]
     rows = [
         [
             *(shown(cell.cell[field]) for field in fields),
-            *(_interval(getattr(cell, name)) for name in columns),
+            cell.level,
+            *(_interval(cell[name]) for name in columns),
         ]
         for cell in summary.cells
     ]
-    head = [*fields, *(f"{name.replace('_', ' ')}{units.get(name, '')}" for name in columns)]
+    head = [
+        *fields,
+        "level",
+        *(f"{name.replace('_', ' ')}{units.get(name, '')}" for name in columns),
+    ]
     return f"Sweep of {', '.join(fields) or 'one cell'}", [
         Paragraph(
             f"{len(summary.cells)} cells of {summary.runs} runs each, seed {summary.seed}. Each "
             "figure is followed by its 95 % interval over the runs, which have the same noise in "
             "every cell of one seed. docs/sweeps.md says what each figure is."
         ),
-        Grid(head, rows, len(fields)),
+        Grid(head, rows, len(fields) + 1),
         *_provenance(_attributes(dataset), dataset.attrs["specification"]),
     ]
 
@@ -161,50 +164,33 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     from concord.results.figures.summary import summarise
     from concord.results.figures.summary_table import lines
     from concord.results.folder import BATCHED, read_description
+    from concord.results.records.netcdf_file import ARRAYS
+    from concord.results.records.runs import runs_of_trace
+    from concord.results.records.runs_file import read_runs
     from concord.results.run_results import as_it_ran, completed
 
     description = read_description(folder)
     if description.driver == BATCHED:
-        return _of_runs(folder, description)
-    trace = completed(folder, description)
-    figures = summarise(as_it_ran(description, trace).setup, trace)
-    page = _page_of_run(description, lines(figures), figures, "{:.4g}".format, str)
-    return f"Run {description.run}", page
-
-
-def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePart]]:
-    from concord.results.records.histories_file import read_histories
-    from concord.results.records.netcdf_file import ARRAYS
-    from concord.studies.monte_carlo.many_figures import lines, summarise
-
-    figures = summarise(*read_histories(folder / ARRAYS, description.setup))
-    page = _page_of_run(description, lines(figures), figures, _interval, "{:.4g}".format)
-    return f"{figures.runs} runs {description.run}", page
-
-
-def _page_of_run(
-    description: "Description",
-    lines: Sequence[str],
-    figures: "Figures | ManyFigures",
-    error: Callable[[Any], str],
-    count: Callable[[Any], str],
-) -> list[PagePart]:
-    """The page of a run or of many, whose `error`s and `count`s are written so."""
-    rows = [
-        [str(i), *map(error, (n.rmse, n.rmse_local_only, n.anees)),
-         *map(count, (n.sent, n.heard, n.missed))]
-        for i, n in enumerate(figures.nodes)
-    ]  # fmt: skip
-    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
-    sent, missed = map(count, (figures.shares_sent, figures.shares_missed))
-    rows.append(["all", *map(error, whole), sent, "", missed])
+        figures = summarise(*read_runs(folder / ARRAYS, description.setup))
+    else:
+        trace = completed(folder, description)
+        figures = summarise(runs_of_trace(as_it_ran(description, trace).setup, trace))
+    several = "Run" if figures.runs == 1 else f"{figures.runs} runs"
     unit = figures.unit
+    names = ("rmse", "rmse_alone", "anees", "sent", "heard", "missed")
+    rows = [
+        [str(i), *(_interval(node[name]) for name in names)] for i, node in enumerate(figures.nodes)
+    ]
+    totals = ("rmse", "rmse_alone", "anees", "shares_sent", "", "shares_missed")
+    whole = [_interval(figures.figures[name]) if name else "" for name in totals]
     head = ["node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES", "sent", "heard", "missed"]
     scenario = msgspec.json.encode(description.setup.scenario).decode()
-    return [
+    return f"{several} {description.run}", [
         Paragraph(f"Driver {description.driver}, seed {description.seed}."),
-        *(Paragraph(text) for text in lines),
-        Grid(head, rows, 1),
+        Paragraph(figures.verdict.in_words()),
+        *(Paragraph(one.in_words()) for one in figures.absences),
+        *(Paragraph(text) for text in lines(figures)),
+        Grid(head, [*rows, ["all", *whole]], 1),
         *_provenance({"commit": str(description.commit), **description.versions}, scenario),
     ]
 

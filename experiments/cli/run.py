@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import tyro
 
 from concord.disk import RunFailed
-from concord.experiments.cli.collect import FiguresForm, ResultOptions, finish
+from concord.experiments.cli.collect import FiguresForm, ResultOptions, end_by, finish
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
 from concord.experiments.run_many import run_many
@@ -90,8 +90,9 @@ def run(
     for warning in (*warnings_of(setup), *few_steps(setup.scenario), *few):
         sys.stderr.write(f"warning: {warning}\n")
     if output.driver == BATCHED:
-        many = output.covariances, output.json
-        run_many(setup, output.runs, folder, description, *many)
+        shown = FiguresForm(output.json, output.verbose)
+        found = run_many(setup, output.runs, folder, description, output.covariances, shown)
+        end_by(found.verdict)
         return
     with closing(PageProcess(output.http_port)) as page:
         while True:
@@ -99,8 +100,9 @@ def run(
             with user_errors():
                 trace = completed(folder, description)
             shown = FiguresForm(output.json, output.verbose)
-            finish(folder, description, trace, pace, shown, captures, output.smooth)
+            found = finish(folder, description, trace, pace, shown, captures, output.smooth)
             if not page.stay():
+                end_by(found.verdict)
                 return
             with user_errors():
                 description, folder = _begun(setup, output, _next_folder(output.out))

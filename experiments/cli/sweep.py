@@ -16,10 +16,11 @@ from concord.disk import RunFailed
 from concord.experiments.scenario_flags import said_in
 from concord.experiments.sweep_options import FieldOptions
 from concord.experiments.user_errors import user_errors
+from concord.results.figures.summary import decisive_run
 from concord.results.places import make_folder, new_name
 from concord.scenarios.preparation import prepare
 from concord.scenarios.warnings import warnings_of
-from concord.studies.few_samples import decisive_run, few_runs, few_steps
+from concord.studies.few_samples import few_runs, few_steps
 from concord.studies.progress import progress
 from concord.studies.sweep.cell_data import CellData
 from concord.studies.sweep.cells import with_keep
@@ -29,6 +30,7 @@ from concord.studies.sweep.placements import in_words, over_placements
 from concord.studies.sweep.results import flattened
 from concord.studies.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
 from concord.studies.sweep.specification import Specification, specify
+from concord.studies.sweep.summary import as_json as cells_json
 from concord.studies.sweep.summary import figures_of, table
 
 if TYPE_CHECKING:
@@ -229,7 +231,7 @@ def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool,
     rate = swept.node_updates / swept.seconds if swept.seconds else 0.0
     if as_json:
         over = msgspec.to_builtins(spreads)
-        whole = {**msgspec.to_builtins(figures), "over_placements": over, **took,
+        whole = {**cells_json(figures), "over_placements": over, **took,
                  "node_updates_per_second": rate, "result": str(out)}  # fmt: skip
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return

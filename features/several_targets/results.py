@@ -10,7 +10,6 @@ from concord.features.several_targets.track_log import TrackingScores
 from concord.features.several_targets.track_variables import (
     read_tracks,
     track_variables,
-    track_variables_of_runs,
 )
 from concord.features.several_targets.tracks_trace import (
     TracksTrace,
@@ -145,6 +144,5 @@ EXTRAS = RunExtras(
     figures=tracking_figures,
     figures_of_runs=track_figures,
     variables=track_variables,
-    variables_of_runs=track_variables_of_runs,
     read_runs=read_tracks,
 )

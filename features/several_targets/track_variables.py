@@ -32,34 +32,28 @@ _KEYS = 1 + IDENTITY
 
 
 def track_variables(
-    setup: Setup, tracks: TracksTrace, readings: np.ndarray
+    setup: Setup, runs: Sequence[int], tracks: Sequence[TracksTrace], readings: np.ndarray | None
 ) -> dict[str, tuple[Any, ...]]:
-    """Return the variables of the targets' states, of the tracks of the centre and the nodes, and
-    GOSPA of the nodes.
-
-    readings (steps, N, 1 + D, 2).
-    """
-    centre = log_alone(setup, range(setup.scenario.nodes), readings, tracks.paths)
-    gospa = (("step", "node"), tracks.distances(), {"units": "m", "cutoff": CUTOFF_M})
-    return {**_ragged(setup, [_sorted_rows(tracks, {CENTRE: centre})])[0], "gospa": gospa}
-
-
-def track_variables_of_runs(
-    setup: Setup, runs: Sequence[int], tracks: Sequence[TracksTrace]
-) -> dict[str, tuple[Any, ...]]:
-    """Return the variables of the targets' states and of the tracks of the nodes, of many runs."""
-    found, which = _ragged(setup, [_sorted_rows(one, {}) for one in tracks])
+    """Return the variables of the targets' states, of the tracks of the nodes, and GOSPA; of one
+    run, whose readings (1, steps, N, 1 + D, 2) are given, also those of the centre."""
+    centres: dict[int, TrackLog] = {}
+    if len(tracks) == 1 and readings is not None:
+        everybody = range(setup.scenario.nodes)
+        centres[CENTRE] = log_alone(setup, everybody, readings[0], tracks[0].paths)
+    found, which = _ragged(setup, [_sorted_rows(one, centres) for one in tracks])
     run = np.array(runs)[which]
     names = [f"{one}/{name}" for one, name in zip(run, found["trajectory"][1], strict=True)]
+    gospa = np.stack([one.distances() for one in tracks])
     return {
         **found,
         "trajectory": (*found["trajectory"][:1], names, *found["trajectory"][2:]),
         _RUN: (found["tracker"][0], run, {"long_name": "number of the run"}),
+        "gospa": (("run", "step", "node"), gospa, {"units": "m", "cutoff": CUTOFF_M}),
     }
 
 
 def read_tracks(data: "xarray.Dataset", setup: Setup, there: np.ndarray) -> tuple[TracksTrace, ...]:
-    """Return the tracks of each run in a run.nc of many runs, without digests; none without any.
+    """Return the tracks of each run of a data set, without digests; none without any.
 
     Nodes take part `there` (R, steps, N).
     """

@@ -23,7 +23,7 @@ from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.features.vehicle.slip_evidence import reference_of, slip_evidence
 from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings, readings_between
-from concord.results.innovations.sentence import ESTIMATES_CONFIDENCE
+from concord.results.verdict.honesty import ESTIMATES_CONFIDENCE
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
 

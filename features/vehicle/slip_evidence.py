@@ -23,8 +23,8 @@ from concord.features.vehicle.plant.tyre_identification import MODEL_STEP_S, ide
 from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings, readings_between
-from concord.results.figures.intervals import Interval
-from concord.results.run_verdict import BATCHES, anees_interval, beyond
+from concord.results.figures.intervals import BATCHES, Interval, batch_means
+from concord.results.verdict.findings import beyond
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.setup import Setup
 
@@ -86,13 +86,13 @@ def slip_evidence(
             return SlipEvidence(Interval(np.nan, np.nan, np.nan), logged)
         every = squares_beside(belief, reference, times_s)
     every = np.where(counted, every, np.nan)
-    found = [anees_interval(squares, confidence) for squares in every]
+    found = [batch_means(squares, confidence) for squares in every]
     anees = Interval(found[0].value, min(one.low for one in found), max(one.high for one in found))
     return SlipEvidence(anees, logged, _worst(every[0], setup.time_step_s))
 
 
 def _worst(squares: np.ndarray, time_step_s: float) -> tuple[float, float, float]:
-    """The batch of `anees_interval` that errs most: its mean, and its ends in s."""
+    """The batch of `batch_means` that errs most: its mean, and its ends in s."""
     known = np.flatnonzero(np.isfinite(squares))
     if len(known) < BATCHES:
         return np.nan, np.nan, np.nan

@@ -13,9 +13,9 @@ import numpy as np
 
 from concord.bus.bus import Bus, Transmission, retransmits
 from concord.results.bus.sent_shares import SentShares
-from concord.results.records.trace import Trace
+from concord.results.records.runs import Runs
+from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
-from concord.scenarios.setup import Setup
 
 
 class BusFigures(msgspec.Struct, frozen=True):
@@ -26,13 +26,13 @@ class BusFigures(msgspec.Struct, frozen=True):
 
     Attributes:
         cycles, cycles_all: how many.
-        load_mean, load_max: share of a cycle in which the busier channel carries frames.
+        bus_load, bus_load_max: share of a cycle in which the busier channel carries frames.
         channel_loads: mean share of a cycle in which each channel carries frames.
-        wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
+        bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
             padding, and how long they keep the bus busy.
         error_frames: tries of frames that ended in an error, on a bus that sends them again;
             `error_us_per_step` is their time, with the tries themselves.
-        delay_us_mean, delay_us_max: from a measurement to the last share of its step; `wait_us_max`
+        delay_us, delay_us_max: from a measurement to the last share of its step; `wait_us_max`
             of it is the longest wait for the step's first cycle.
         worst_access_us: bound from the request of a share at any moment to its last bit, whatever
             the other nodes send; None for a bus that states none.
@@ -57,15 +57,15 @@ class BusFigures(msgspec.Struct, frozen=True):
     frames_per_cycle_mean: float
     frames_per_cycle_max: int
     frames_per_cycle_all: float
-    load_mean: float
-    load_max: float
+    bus_load: float
+    bus_load_max: float
     channel_loads: dict[str, float]
-    load_all: float
-    wire_bytes_per_step: float
+    bus_load_all: float
+    bytes_per_step: float
     wire_us_per_step: float
     error_frames: int
     error_us_per_step: float
-    delay_us_mean: float
+    delay_us: float
     delay_us_max: float
     wait_us_max: float
     worst_access_us: float | None
@@ -102,27 +102,34 @@ class BusTimes(NamedTuple):
     share_end_us: np.ndarray
 
 
-def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
-    """The figures of a run's bus; None where the bus has no time, or was another in the run."""
-    bus = build_bus(setup)
-    if not (bus.has_time and trace.history.one_bus):
+def figures_of(runs: Runs) -> BusFigures | None:
+    """The figures of one run's bus; None where the bus has no time, or was another in the run."""
+    bus, sender = build_bus(runs.setup), runs.links[1]
+    if not _has_times(bus, runs):
         return None
+    assert runs.ages is not None, "keep the ages"
     tables = (*bus.schedule.static_table, *bus.schedule.contender_table)
     publishers = {node for row in tables for node in row}
-    heard = [
-        trace.ages[:, node, [j for j in neighbours if j in publishers]]
-        for node, neighbours in enumerate(setup.neighbours)
-    ]
-    sent = trace.sent
-    errors = [one.get("error frame", 0) for one in trace.counters]
-    return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1), errors)
+    heard = runs.ages[0][:, np.isin(sender, sorted(publishers))]
+    errors = runs.counters.get("error frame", np.zeros((1, runs.setup.scenario.nodes), int))
+    return bus_figures(bus, shares_of(runs), runs.asked[0], heard, errors[0].tolist())
 
 
-def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
-    """When what was on the bus in a run; None where the bus has no time, or was another."""
-    bus = build_bus(setup)
-    timed = bus.has_time and trace.history.one_bus
-    return bus_times(bus, trace.sent) if timed else None
+def times_of(runs: Runs) -> BusTimes | None:
+    """When what was on the bus in one run; None where the bus has no time, or was another."""
+    bus = build_bus(runs.setup)
+    return bus_times(bus, shares_of(runs)) if _has_times(bus, runs) else None
+
+
+def shares_of(runs: Runs) -> SentShares:
+    """The shares that the nodes sent in the first of some runs."""
+    cut = None if runs.cut is None else runs.cut[0]
+    return SentShares(runs.payload_bytes[0], np.asarray(runs.classes[0]), cut)
+
+
+def _has_times(bus: Bus, runs: Runs) -> bool:
+    changed = any(change.anew for change in changes_of(runs.setup))
+    return bus.has_time and not changed and (runs.history is None or runs.history.one_bus)
 
 
 def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
@@ -155,7 +162,7 @@ def bus_figures(
         bus, cycles if shares.cut is None else timetable(bus, shares.whole), rounds
     )
     sent_frames = [frame for cycle in cycles for frame in cycle]
-    wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
+    bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
     asked, sent = asked.reshape(-1, nodes), shares.whole.payload_bytes.reshape(-1, nodes) > 0
     waits, waits_all = longest_waits(asked, sent, _numbers(bus, len(cycles)))
     empty = [empty_minislots(cycle) for cycle in cycles]
@@ -169,15 +176,15 @@ def bus_figures(
         frames_per_cycle_mean=float(np.mean(frames)),
         frames_per_cycle_max=max(frames),
         frames_per_cycle_all=sum(frames) / cycles_all,
-        load_mean=float(np.mean(load)),
-        load_max=max(load),
+        bus_load=float(np.mean(load)),
+        bus_load_max=max(load),
         channel_loads=_channel_loads(bus, sent_frames, len(cycles)),
-        load_all=sum(load) / cycles_all,
-        wire_bytes_per_step=wire_bytes_per_step,
+        bus_load_all=sum(load) / cycles_all,
+        bytes_per_step=bytes_per_step,
         wire_us_per_step=wire_us_per_step,
         error_frames=sum(errors),
         error_us_per_step=_errors_us(bus, sent_frames, errors) / steps,
-        delay_us_mean=float(np.mean(delay_us)),
+        delay_us=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
         wait_us_max=max(timebase.wait_us(step) for step in range(steps)),
         worst_access_us=None if isnan(bus.worst_access_us) else bus.worst_access_us,
@@ -308,14 +315,14 @@ def lines(figures: BusFigures) -> list[str]:
     text = [
         f"bus {figures.cluster}: {figures.frames_per_cycle_mean:.1f} frames in a cycle of "
         f"{figures.cycle_us / 1e3:.4g} ms (most {figures.frames_per_cycle_max}), load "
-        f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %"
+        f"{100 * figures.bus_load:.1f} % (most {100 * figures.bus_load_max:.1f} %"
         f"{_of_channels(figures.channel_loads)}), measurement to "
-        f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
+        f"estimate {figures.delay_us / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
         f"rounds use {figures.cycles} of the {figures.cycles_all} cycles that pass on the bus: "
         f"over all of them {figures.frames_per_cycle_all:.3g} frames in a cycle, load "
-        f"{100 * figures.load_all:.3g} %; a step waits up to {figures.wait_us_max / 1e3:.4g} ms "
-        "for its first cycle",
-        f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
+        f"{100 * figures.bus_load_all:.3g} %; a step waits up to "
+        f"{figures.wait_us_max / 1e3:.4g} ms for its first cycle",
+        f"on the wire {figures.bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
         "us per step",
     ]
     if figures.error_frames:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 RESAMPLES = 999
+BATCHES = 10
 
 
 class Interval(NamedTuple):
@@ -104,6 +105,25 @@ METHODS: dict[str, IntervalMethod] = {
     "t": IntervalMethod(positive_mean_t, ratio_t),
     "bootstrap": IntervalMethod(mean_bootstrap, ratio_bootstrap),
 }
+
+
+def batch_means(values: np.ndarray, confidence: float = 0.95) -> Interval:
+    """The interval of a mean over steps (S,) that depend on each other.
+
+    It is that of the means of `BATCHES` batches of consecutive steps (batch means, Law 2015,
+    section 9.5.3); NaN for fewer than two steps a batch.
+    """
+    known = values[~np.isnan(values)]
+    if len(known) < 2 * BATCHES:
+        return Interval(float(known.mean()) if len(known) else np.nan, np.nan, np.nan)
+    means = np.array([batch.mean() for batch in np.array_split(known, BATCHES)])
+    return positive_mean_t(means, confidence)
+
+
+def root_mean(values: np.ndarray, ratio: Ratios = ratio_t, unit: float = 1.0) -> Interval:
+    """The root mean square of values (runs,), as a multiple of a known number."""
+    squares = np.square(values)
+    return ratio(squares, np.full_like(squares, unit**2))
 
 
 def on_log_scale(middle: float, count: int, deviation: float, confidence: float = 0.95) -> Interval:

@@ -14,7 +14,7 @@ import numpy as np
 
 from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
 
-FALSE_ALARMS = 0.01
+FALSE_ALARMS = 0.001
 MEAN_MARGIN, SPREAD_MARGIN, CORRELATION_MARGIN = 0.1, 1.2, 0.1
 """Least deviations: of a mean in standard deviations, of a variance as a ratio either way, and of a
 correlation."""

@@ -25,6 +25,8 @@ Bounds = tuple[float, float]
 class ChannelFigures(msgspec.Struct, frozen=True):
     """One channel of the readings of a node, in the filter that hears everything.
 
+    Behind a gate the law of innovations is cut, and all figures are relative to the cut law.
+
     `nis` is the mean normalised innovation squared, 1 if all is right; `mean` that of the
     innovations, in `unit`; `correlation` that of successive ones. The p values are those of
     `channel_test`. Intervals are of 95 %. Figures are None where readings are too few.
@@ -91,25 +93,13 @@ def outside_model(setup: Setup, belief: Gaussian, counted: np.ndarray) -> Outsid
     return Outside(steps, shares)
 
 
-def accepted(setup: Setup, innovations: Innovations) -> Innovations:
-    """The innovations (..., N, r, m) without those of readings that a sensor's gate refused."""
-    gates = np.full(setup.scenario.nodes, np.inf)
-    for node, gate in enumerate(_gates(setup)):
-        gates[node] = np.inf if gate is None else gate
-    refused = innovations.nis > gates[:, None]
-    if not refused.any():
-        return innovations
-    return Innovations(
-        np.where(refused[..., None], np.nan, innovations.value),
-        np.where(refused[..., None, None], np.nan, innovations.cov),
-        np.where(refused, np.nan, innovations.nis),
-    )
-
-
 def innovation_figures(
-    setup: Setup, own: Innovations, heard: Innovations
+    setup: Setup, own: Innovations, heard: Innovations, outside: dict[str, float] | None
 ) -> tuple[InnovationFigures, Diagnosis]:
-    """The figures of innovations (R, S, N, r, m) that were accepted, and what they point to."""
+    """The figures of innovations (R, S, N, r, m) that were accepted, and what they point to.
+
+    `outside` are the shares of steps that do not count (`InnovationFigures.outside`).
+    """
     tests = [
         (channel, channel_test(heard.value[at], heard.cov[(*at, channel.entry)]))
         for channel, at in _channels(setup, heard)
@@ -122,6 +112,7 @@ def innovation_figures(
         _nis(own.nis, own.entries),
         _nis(heard.nis, heard.entries),
         [_figures(channel, test) for channel, test in tests],
+        outside,
     )
     return found, diagnose(tests)
 
@@ -130,12 +121,6 @@ def nis_per_step(innovations: Innovations) -> np.ndarray:
     """NIS per degree of freedom of all nodes in each step (R, S); NaN where none took a reading."""
     total, freedoms = np.nansum(innovations.nis, axis=(2, 3)), innovations.entries.sum(axis=(2, 3))
     return np.where(freedoms > 0, total / np.maximum(freedoms, 1), np.nan)
-
-
-def _gates(setup: Setup) -> list[float | None]:
-    definition = definition_of(setup.scenario)
-    sensors = (definition.sensor(setup.scenario, node) for node in range(setup.scenario.nodes))
-    return [None if sensor is None else sensor.gate for sensor in sensors]
 
 
 def _channels(setup: Setup, heard: Innovations) -> list[tuple[Channel, tuple]]:

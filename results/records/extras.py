@@ -51,9 +51,8 @@ class RunExtras(NamedTuple):
         figures: (setup, X, readings) -> figures of the run.
         figures_of_runs: (setup, X of R runs, readings) -> values (R,) by the names in the table
             FIGURES of the feature (`concord.entries`).
-        variables: (setup, X, readings) -> variables of run.nc.
-        variables_of_runs: (setup, numbers of runs, X of each) -> variables of a run.nc of many.
-        read_runs: (run.nc of R runs, setup, which nodes took part (R, steps, N)) -> X of each.
+        variables: (setup, numbers of runs, X of each, readings or None) -> variables of run.nc.
+        read_runs: (data set of R runs, setup, which nodes took part (R, steps, N)) -> X of each.
     """
 
     read: Callable[[Setup, np.ndarray, Told], RunExtra]
@@ -61,8 +60,9 @@ class RunExtras(NamedTuple):
     distances_alone: Callable[[Setup, Any, np.ndarray], np.ndarray]
     figures: Callable[[Setup, Any, np.ndarray], ExtraFigures]
     figures_of_runs: Callable[[Setup, Sequence[Any], np.ndarray], dict[str, np.ndarray]]
-    variables: Callable[[Setup, Any, np.ndarray], dict[str, tuple[Any, ...]]]
-    variables_of_runs: Callable[[Setup, Sequence[int], Sequence[Any]], dict[str, tuple[Any, ...]]]
+    variables: Callable[
+        [Setup, Sequence[int], Sequence[Any], np.ndarray | None], dict[str, tuple[Any, ...]]
+    ]
     read_runs: Callable[["xarray.Dataset", Setup, np.ndarray], Sequence[RunExtra]]
 
 

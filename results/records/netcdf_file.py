@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from concord.disk import whole_file
-from concord.results.records.trace import Past
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 
@@ -30,25 +29,6 @@ def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
         "state": list(plant.state_names),
         "state_unit": ("state", list(plant.state_units)),
     }
-
-
-def optional_variables(
-    before: tuple[str, ...],
-    control: np.ndarray | None,
-    suspect: np.ndarray | None,
-    past: Past | None,
-) -> dict[str, Any]:
-    """Return what not every run has as variables, whose first axes are those `before`."""
-    found: dict[str, Any] = {}
-    if control is not None:
-        found["control"] = ((*before, "input"), control)
-    if suspect is not None:
-        found["suspect"] = ((*before, "node"), suspect.astype(np.int8))
-    if past is not None:
-        axes = (*before, "lag", "node", "state")
-        found |= {"smoothed_mean": (axes, past.mean), "smoothed_std": (axes, past.std)}
-        found["lag"] = (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"})
-    return found
 
 
 if TYPE_CHECKING:

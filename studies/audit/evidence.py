@@ -22,7 +22,7 @@ from concord.scenarios.scenario import Scenario
 if TYPE_CHECKING:
     import xarray
 
-_NAMES = ("truth", "mean", "cov", "nees", "published", "ages")
+_NAMES = ("run", "truth", "mean", "cov", "nees", "payload_bytes", "ages")
 
 
 class RecordedEstimate(NamedTuple):
@@ -69,6 +69,7 @@ def read_evidence(folder: Path) -> Evidence:
     if not (folder / ARRAYS).exists():
         raise ValueError(f"{folder}: it holds no {ARRAYS}; `concord collect {folder}` makes it")
     arrays = read_dataset(folder / ARRAYS, _NAMES, f"`concord collect {folder}` makes it again")
+    arrays = arrays.isel(run=0)
     scenario = msgspec.json.decode(arrays.attrs["scenario"], type=Scenario)
     found = Evidence(scenario, arrays, False, Counter(), {}, {}, {}, [], [], 0)
     frames = frame_format(scenario)

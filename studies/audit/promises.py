@@ -111,7 +111,7 @@ def _estimate_ages(run: Run) -> Account:
     """Whether each estimate in real time says how old it was when it was sent, and was no older
     than the timetable allows; in lockstep no estimate has an age."""
     said = run.evidence
-    shown = said.arrays.get("estimate_age")
+    shown = said.arrays.get("estimate_age_s")
     limit_s = np.inf if shown is None else float(shown.attrs.get("limit", np.inf))
     ages = {place: one.age_s for place, all_of in said.estimates.items() for one in all_of}
     known = [age_s for age_s in ages.values() if age_s is not None]
@@ -186,25 +186,28 @@ def _arrays(run: Run) -> Account:
 
 
 def _published(run: Run) -> Account:
-    published = run.evidence.arrays["published"].values
+    arrays = run.evidence.arrays
+    published = arrays["payload_bytes"].values > 0
+    if "cut" in arrays:
+        published &= arrays["cut"].values == 0
     broken = []
     for step in range(min(run.complete, len(published))):
         for place, cycle in enumerate(run.membership.cycles_of(step)):
             sent = [(cycle, node) in run.evidence.frames for node in range(run.nodes)]
-            if sent != (published[step, place] > 0).tolist():
+            if sent != published[step, place].tolist():
                 broken.append(f"cycle {cycle} of step {step}")
     return _account(run.complete, broken)
 
 
 def _ages(run: Run) -> Account:
     """Whether each share that a node holds was sent in the cycle that its age names."""
-    ages = run.evidence.arrays["ages"].values
+    arrays = run.evidence.arrays
+    ages, receivers, senders = (arrays[name].values for name in ("ages", "receiver", "sender"))
     checked, broken, lost = 0, [], 0
-    for step, node, sender in np.argwhere(ages >= 0).tolist():
-        if node == sender:
-            continue
+    for step, link in np.argwhere(ages >= 0).tolist():
+        node, sender = int(receivers[link]), int(senders[link])
         checked += 1
-        cycle = run.membership.cycles_of(step)[-1] - int(ages[step, node, sender])
+        cycle = run.membership.cycles_of(step)[-1] - int(ages[step, link])
         if (cycle, sender) in run.evidence.frames:
             continue
         if cycle >= 0 and _is_lost(run, run.membership.step_of(cycle), sender):

@@ -7,8 +7,10 @@ import msgspec
 import numpy as np
 
 from concord.results.figures.figure_table import FIGURES
-from concord.results.figures.intervals import Interval, positive_mean_t, ratio_t
+from concord.results.figures.intervals import Interval, ratio_t
+from concord.results.figures.summary import intervals_of, level_of
 from concord.results.folder import provenance
+from concord.results.verdict.findings import Level
 from concord.scenarios.catalogue import definition_named
 from concord.studies.compare.entries import ComparedEntry
 from concord.studies.compare.run import TAKEN, Figures
@@ -16,24 +18,23 @@ from concord.studies.compare.run import TAKEN, Figures
 if TYPE_CHECKING:
     import xarray
 
-_OTHERS = {
-    "wire_us": ("us", "time of the frames of a step on the busier channel"),
-    "node_us": ("us", "processor time of a step at the node with the most neighbours"),
-}
+_NODE_US = ("us", "processor time of a step at the node with the most neighbours")
 
 
 class RuleFigures(msgspec.Struct, frozen=True):
     """One rule on one case; NaN figures and a reason where it cannot run.
 
-    `to_centralised` is the root mean square error over that of one filter that hears everything,
-    both of the same runs. `node_ratio` is `node_us` over that of the cheapest rule of the case.
+    `level` is that of the verdict. `to_centralised` is the root mean square error over that of one
+    filter that hears everything, both of the same runs. `node_ratio` is `node_us` over that of the
+    cheapest rule of the case.
     """
 
     rule: str
+    level: Level
     to_centralised: Interval
     anees: Interval
     bytes_per_step: Interval
-    wire_us: Interval
+    bus_time_us: Interval
     node_us: float
     node_ratio: float
     reason: str
@@ -65,9 +66,7 @@ def assemble(entries: Sequence[ComparedEntry], figures: Mapping[int, Figures]) -
     rules = list(dict.fromkeys(entry.rule for entry in entries))
     shape = (len(cases), len(rules))
     most = max(case.runs for case in cases.values())
-    values: dict[str, np.ndarray] = {
-        name: np.full((*shape, most), np.nan) for name in (*TAKEN, "wire_us")
-    }
+    values: dict[str, np.ndarray] = {name: np.full((*shape, most), np.nan) for name in TAKEN}
     values["node_us"] = np.full(shape, np.nan)
     reasons = np.full(shape, "", dtype=object)
     for place, entry in enumerate(entries):
@@ -95,7 +94,7 @@ def assemble(entries: Sequence[ComparedEntry], figures: Mapping[int, Figures]) -
 
 def _described(name: str) -> dict[str, str]:
     figure = FIGURES.get(name)
-    units, meaning = _OTHERS[name] if figure is None else (figure.units, figure.meaning)
+    units, meaning = _NODE_US if figure is None else (figure.units, figure.meaning)
     return {"units": "as unit" if units == "score" else units, "long_name": meaning}
 
 
@@ -122,12 +121,12 @@ def _case(part: "xarray.Dataset") -> CaseFigures:
     found = []
     for place, rule in enumerate(rules):
         one = {name: array[place] for name, array in arrays.items()}
-        error = ratio_t(np.square(one["rmse"]), central)
+        figures = intervals_of({name: one[name] for name in TAKEN}, TAKEN)
         found.append(
             RuleFigures(
-                rule, error, positive_mean_t(one["anees"]), positive_mean_t(one["bytes_per_step"]),
-                positive_mean_t(one["wire_us"]), float(one["node_us"]),
-                float(one["node_us"] / cheapest), str(one["reason"]),
+                rule, level_of(figures), ratio_t(np.square(one["rmse"]), central),
+                figures["anees"], figures["bytes_per_step"], figures["bus_time_us"],
+                float(one["node_us"]), float(one["node_us"] / cheapest), str(one["reason"]),
             )
         )  # fmt: skip
     found.sort(key=lambda one: (np.isnan(one.to_centralised.value), one.to_centralised.value))

@@ -12,7 +12,7 @@ from concord.nodes.messages import NodeEvent
 from concord.nodes.node_state import NodeConfig, NodeState
 from concord.runtime import in_process
 from concord.runtime.recording import MemoryRecorder
-from concord.scenarios.build import build_bus, build_environment, build_node
+from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
@@ -58,7 +58,9 @@ def _replayed_ns(config: NodeConfig, events: list[NodeEvent]) -> int:
 
 KEPT, FILE = "kept", "figures"
 # Figures of a sweep that a comparison needs, all of shape (runs,).
-TAKEN = ("rmse", "rmse_centralised", "anees", "coverage", "bytes_per_step")
+TAKEN = (
+    "rmse", "rmse_centralised", "anees", "coverage", "bytes_per_step", "bus_time_us", "failed",
+)  # fmt: skip
 Figures = dict[str, np.ndarray]
 
 
@@ -123,7 +125,6 @@ def _figures(specification: Specification) -> Figures:
     whole = joined([compute(piece) for piece in pieces_of(specification, [cell])])
     setup = prepare(cell.scenario)
     figures = {name: whole[name] for name in TAKEN}
-    figures["wire_us"] = whole["bus_load"] * build_bus(setup).cycle_us * cell.scenario.rounds
     if is_set_valued(setup.scenario):
         # A set's own centre is its reference; the comparison has one for all rules of a case.
         figures["rmse_centralised"] = np.full_like(figures["rmse"], np.nan)

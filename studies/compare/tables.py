@@ -12,18 +12,19 @@ from rich.table import Table
 from concord.results.report_page import Code, Grid, Heading, PagePart, Paragraph
 from concord.studies.compare.results import CaseFigures, ComparisonFigures, RuleFigures
 
-COLUMNS = ("error", "95 %", "ANEES", "±", "bytes", "wire us", "node")
+COLUMNS = ("error", "95 %", "ANEES", "±", "bytes", "wire us", "node", "")
 MEANING = (
     "error: root mean square error over that of one filter that hears everything, with the 95 % "
     "interval of paired runs (log scale). ANEES: normalised squared error per state; 1 is "
     "consistent, above 1 is overconfident. bytes, wire us: on the bus in a "
-    "step. node: processor time of a step at the busiest node, over that of the cheapest rule."
+    "step. node: processor time of a step at the busiest node, over that of the cheapest rule. "
+    "Last: CHECK for overconfident rules, FAILED for rules of which a run failed."
 )
 _OVERVIEWS: dict[str, Callable[[RuleFigures], float]] = {
     "Error over the centralised filter": lambda one: one.to_centralised.value,
     "ANEES (above 1 is overconfident)": lambda one: one.anees.value,
     "Bytes in a step": lambda one: one.bytes_per_step.value,
-    "Microseconds on the wire in a step": lambda one: one.wire_us.value,
+    "Microseconds on the wire in a step": lambda one: one.bus_time_us.value,
     "Processor time of a node's step over that of the cheapest rule": lambda one: one.node_ratio,
 }
 _LATEX = {"\\": r"\textbackslash{}", **{sign: f"\\{sign}" for sign in "&%$#_{}"},
@@ -62,8 +63,8 @@ def cells_of_rule(one: RuleFigures) -> tuple[str, ...]:
     half = "-" if np.isnan(anees.low) else f"{(anees.high - anees.low) / 2:.2g}"
     return (
         _short(error.value), between, _short(anees.value), half,
-        _short(one.bytes_per_step.value), _short(one.wire_us.value),
-        _short(one.node_ratio),
+        _short(one.bytes_per_step.value), _short(one.bus_time_us.value),
+        _short(one.node_ratio), "" if one.level == "WORKS" else one.level,
     )  # fmt: skip
 
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.information_age import first_newer, greatest_ages_steps, lags_steps
-from concord.results.figures.run_figures import kept
-from concord.results.records.histories import Histories
 from concord.results.records.record_spread import RecordSpread, in_time, record_ages
+from concord.results.records.runs import Runs
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.labelled import window_of
@@ -46,8 +45,8 @@ def information_age(scenario: Scenario) -> InformationAge | None:
         return None
     setup = prepare(scenario)
     bound, why = age_bound(setup)
-    histories = simulate(setup, range(FRESH_RUN, FRESH_RUN + _RUNS))
-    spreads, lost = histories.spreads, None
+    runs = simulate(setup, range(FRESH_RUN, FRESH_RUN + _RUNS))
+    spreads, lost = runs.spreads, None
     if spreads:
         observed = max(map(record_lag_steps, spreads))
         arrived = np.concatenate([in_time(one) for one in spreads])
@@ -55,7 +54,7 @@ def information_age(scenario: Scenario) -> InformationAge | None:
     elif lossy_links(scenario) or not withdraws(scenario.bus):
         return None
     else:
-        observed = _share_lag_steps(setup, histories)
+        observed = _share_lag_steps(setup, runs)
     if isinstance(scenario.rule, FloodingRule):
         # A lag grows by one a step, so the greatest one passes the window's last step on its way.
         window = window_of(scenario, setup.neighbours)
@@ -82,12 +81,12 @@ def worst_age(scenarios: Sequence[Scenario]) -> InformationAge | None:
     )
 
 
-def _share_lag_steps(setup: Setup, histories: Histories) -> int:
+def _share_lag_steps(setup: Setup, runs: Runs) -> int:
     """Return for how many steps a node has lacked readings whose shares could have reached it."""
     schedule, rounds = build_bus(setup).schedule, setup.scenario.rounds
-    readings, _ = kept(histories)
+    assert runs.readings is not None, "keep the readings"
     observed = 0
-    for sent, read in zip(histories.payload_bytes > 0, ~np.isnan(readings), strict=True):
+    for sent, read in zip(runs.payload_bytes > 0, ~np.isnan(runs.readings), strict=True):
         cycles, taken = sent.reshape(-1, schedule.nodes), read.any(axis=(-1, -2))
         ages = greatest_ages_steps(
             schedule, setup.neighbours, rounds, len(taken), cycles.__getitem__, taken.__getitem__

@@ -11,20 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.results.figures.figure_table import FIGURES
+from concord.results.figures.figure_table import FIGURES, RATIOS, SWEPT
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 # `spread` is the standard deviation of the squares over their mean: an interval of a root mean
 # square needs it.
 STATISTICS = ("count", "mean", "std", "rms", "spread", "least", "greatest",
               *(f"q{100 * part:02.0f}" for part in QUANTILES))  # fmt: skip
-# FigureArrays and what each is compared with in the same run.
+# Figures and what each is compared with in the same run.
 PAIRS = {
-    "rmse_to_centralised": ("rmse", "rmse_centralised"),
-    "worst_node_to_centralised": ("rmse_worst_node", "rmse_centralised"),
-    "blind_to_centralised": ("rmse_blind", "rmse_centralised"),
-    "smoothed_to_centralised": ("rmse_smoothed", "rmse_smoothed_centralised"),
-    "anees_to_centralised": ("anees", "anees_centralised"),
+    name: (ratio.one, ratio.other)
+    for name, ratio in RATIOS.items()
+    if {ratio.one, ratio.other} <= set(SWEPT)
 }
 # `ratio` is that of the root mean squares, `spread` the standard deviation of its linearised
 # logarithm; `difference` and `difference_std` are those of the figures themselves.

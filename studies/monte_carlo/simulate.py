@@ -1,14 +1,14 @@
 """Many runs of a scenario at once: `simulate` is where experiments get their Monte Carlo from.
 
-    histories = simulate(prepare(scenario), range(200))
-    errors = histories.mean - histories.truth[:, :, None]
+    runs = simulate(prepare(scenario), range(200))
+    errors = runs.mean - runs.truth[:, :, None]
 
 Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Rules and scenarios
 without an array form run message by message, one run after the other, and give the same value.
 """
 
 import ctypes
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,8 @@ import numpy as np
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import ReportedTracks
 from concord.results.records.extras import RunExtra, RunExtras, run_extras
-from concord.results.records.histories import Histories
 from concord.results.records.record_spread import RecordSpread
+from concord.results.records.runs import Runs, joined, runs_of_trace
 from concord.results.records.spread_history import SpreadHistory
 from concord.results.records.trace import Past, read_trace
 from concord.runtime.batched.build import build_network, without_array_form
@@ -64,7 +64,7 @@ _INNOVATIONS = "innovation value", "innovation cov", "innovation nis"
 
 
 class _Recorded(NamedTuple):
-    """One step of some runs: the axes of `Histories` without S."""
+    """One step of some runs: the axes of `Runs` without S."""
 
     truth: np.ndarray
     control: np.ndarray | None
@@ -84,7 +84,7 @@ def simulate(
     *,
     keep: Iterable[str] = (READINGS, AGES),
     on_progress: Callable[[int], None] = lambda done: None,
-) -> Histories:
+) -> Runs:
     """Run a setup under its seed with the noise of each of these run numbers.
 
     Args:
@@ -103,6 +103,8 @@ def simulate(
     if unknown := set(keep) - OPTIONAL:
         raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
     keep_freed_memory()
+    if without_array_form(setup.scenario) is not None:
+        return _one_by_one(setup, runs, frozenset(keep), on_progress)
     collected = _Collected(setup, runs, frozenset(keep))
     first = 0
     try:
@@ -111,8 +113,19 @@ def simulate(
             collected.take(place, on_progress)
             first = place.stop
     except KeyboardInterrupt:
-        raise Interrupted(collected.histories().of(slice(first)) if first else None) from None
-    return collected.histories()
+        raise Interrupted(collected.whole().of(slice(first)) if first else None) from None
+    return collected.whole()
+
+
+def _one_by_one(
+    setup: Setup, runs: Sequence[int], keep: frozenset[str], on_progress: Callable[[int], None]
+) -> Runs:
+    parts: list[Runs] = []
+    try:
+        parts.extend(_by_messages(setup, runs, keep, on_progress))
+    except KeyboardInterrupt:
+        raise Interrupted(joined(parts) if parts else None) from None
+    return joined(parts)
 
 
 def runs_together(scenario: Scenario) -> int:
@@ -126,12 +139,12 @@ def runs_together(scenario: Scenario) -> int:
 class Interrupted(KeyboardInterrupt):
     """Interrupt of a simulation.
 
-    `histories` are those of the first, complete runs; None if no run is complete.
+    `runs` are the first, complete ones; None if no run is complete.
     """
 
-    def __init__(self, histories: Histories | None) -> None:
+    def __init__(self, runs: Runs | None) -> None:
         super().__init__()
-        self.histories = histories
+        self.runs = runs
 
 
 class _Collected:
@@ -149,8 +162,7 @@ class _Collected:
     def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
         """Run those of a place, and keep their results."""
         setup, runs = self._setup, self._runs[place]
-        messages = without_array_form(setup.scenario) is not None
-        part = (_replayed if messages else _driven)(setup, runs)
+        part = _driven(setup, runs)
         self._prior_mean[place] = part.prior_mean
         innovations = InnovationsByStep(setup, runs) if INNOVATIONS in self._keep else None
         for step, recorded in enumerate(part.steps):
@@ -173,7 +185,7 @@ class _Collected:
         if found is not None:
             _put(self._setup, self._arrays, at, dict(zip(_INNOVATIONS, found, strict=True)))
 
-    def histories(self) -> Histories:
+    def whole(self) -> Runs:
         """Of all runs; of those that were not taken, no number means anything."""
         missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
         del missing[INNOVATIONS]
@@ -182,9 +194,10 @@ class _Collected:
         there = _INNOVATIONS[0] in arrays
         innovations = Innovations(*map(arrays.pop, _INNOVATIONS)) if there else None
         fields: dict[str, Any] = {**missing, **arrays}
-        return Histories(
+        return Runs(
             setup=self._setup,
             runs=np.array(self._runs),
+            links=self._setup.links,
             counters=self._counters,
             prior_mean=self._prior_mean,
             innovations=innovations,
@@ -297,34 +310,19 @@ def _past(instant: Instant, lags: int) -> Past | None:
     return Past(instant.past.mean.swapaxes(1, 2), std.swapaxes(1, 2))
 
 
-def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
-    """One run, message by message."""
-    own = setup_of_run(setup, runs[0])
-    trace = read_trace(own, in_memory(own))
-    names = {name for counters in trace.counters for name in counters}
-    counters = {
-        name: np.array([[counted.get(name, 0) for counted in trace.counters]]) for name in names
-    }
-    receiver, sender = own.links
-
-    def steps() -> Iterable[_Recorded]:
-        for step in range(trace.steps):
-            yield _Recorded(
-                trace.truth[None, step],
-                None if trace.control is None or step == 0 else trace.control[None, step],
-                Gaussian(trace.mean[None, step], trace.cov[None, step]),
-                trace.payload_bytes[None, step],
-                trace.asked[None, step],
-                trace.classes[None, step],
-                trace.readings[None, step],
-                trace.ages[None, step, receiver, sender],
-                None if trace.past is None else Past(*(one[None, step] for one in trace.past)),
-                None if trace.suspect is None else trace.suspect[None, step],
-            )
-
-    spreads = [] if trace.spread is None else [trace.spread]
-    extras = [] if trace.extra is None else [trace.extra]
-    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads, lambda: extras)
+def _by_messages(
+    setup: Setup, runs: Sequence[int], keep: frozenset[str], on_progress: Callable[[int], None]
+) -> Iterator[Runs]:
+    """The runs one after the other, message by message."""
+    for done, run_number in enumerate(runs, 1):
+        own = setup_of_run(setup, run_number)
+        found = runs_of_trace(own, read_trace(own, in_memory(own)), INNOVATIONS in keep)
+        on_progress(done * setup.scenario.steps)
+        yield found._replace(
+            setup=setup,
+            history=None,
+            **{name: None for name in OPTIONAL - keep},
+        )
 
 
 def _write(

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from concord.results.figures.figure_table import FIGURES
 from concord.results.figures.intervals import METHODS, Interval, on_log_scale
 from concord.studies.monte_carlo.convergence import settling_interval, settling_steps
 from concord.studies.monte_carlo.moments import PAIRS
@@ -27,6 +28,10 @@ class CellData:
     def has_runs(self, name: str) -> bool:
         """Return whether a figure is there run by run."""
         return "run" in self._part[name].dims
+
+    def interval(self, name: str) -> Interval:
+        """Return a figure over the runs, by its statistic in the table of figures."""
+        return self.root_mean(name) if FIGURES[name].statistic == "rms" else self.mean(name)
 
     def mean(self, name: str) -> Interval:
         """Return the mean over runs of a figure of 0 or more."""

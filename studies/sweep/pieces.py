@@ -8,9 +8,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from concord.results.figures.figure_table import FIGURES
-from concord.results.figures.run_figures import figures_of
+from concord.results.figures.figure_table import FIGURES, SWEPT, computed
 from concord.results.figures.run_frame import frame_of
+from concord.results.figures.run_view import RunView
 from concord.results.folder import commit, versions
 from concord.runtime.batched.build import without_array_form
 from concord.scenarios.preparation import prepare
@@ -28,8 +28,8 @@ PARTS_OF_MOMENTS = 2
 LARGEST_OF_MESSAGES = 10_000
 # Figures that a piece reduces to moments, by what the sweep keeps.
 REDUCED = {
-    "moments": tuple(FIGURES),
-    "figures": tuple(name for name, figure in FIGURES.items() if "step" in figure.dimensions),
+    "moments": SWEPT,
+    "figures": tuple(name for name in SWEPT if "step" in FIGURES[name].dimensions),
     "histories": (),
 }
 
@@ -103,14 +103,14 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
 def compute(piece: Piece) -> dict[str, np.ndarray]:
     """Return the figures of a piece (`figure_table.FIGURES`), reduced as far as it says."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
-    histories = simulate(setup, range(piece.first, piece.last))
-    frame = frame_of(setup, range(piece.first, piece.last), histories)
+    runs = simulate(setup, range(piece.first, piece.last))
+    frame = frame_of(runs)
     parts, names = CellParts(piece.first), REDUCED[piece.keep]
     at_once = runs_at_once(setup.scenario)
     for first in range(piece.first, piece.last, at_once):
         part = piece._replace(first=first, last=min(first + at_once, piece.last))
         place = slice(first - piece.first, part.last - piece.first)
-        figures = figures_of(setup, histories.of(place), frame.of(place))
+        figures = computed(RunView(runs.of(place), frame.of(place)))
         parts.add(part, reduced(figures, names) if names else figures)
     return parts.figures()
 

@@ -32,7 +32,7 @@ def over_placements(figures: SweepFigures) -> list[PlacementSpread]:
         if FIELD in one.cell:
             others = {name: value for name, value in one.cell.items() if name != FIELD}
             cells[named(others)] = others
-            ratios.setdefault(named(others), []).append(one.to_centralised.value)
+            ratios.setdefault(named(others), []).append(one["to_centralised"].value)
     return [
         PlacementSpread(
             cells[name], len(found), positive_mean_t(np.array(found)), min(found), max(found)

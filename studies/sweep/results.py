@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from concord.results.figures.figure_table import FIGURES, Figure
+from concord.results.figures.figure_table import FIGURES, RATIOS, SWEPT, Figure
 from concord.results.folder import provenance
 from concord.results.records.netcdf_file import read_dataset, write_dataset
 from concord.scenarios.catalogue import definition_of
@@ -86,20 +86,24 @@ def assemble(
 
 def table_of(keep: str) -> dict[str, Figure]:
     """Return the variables of a result that keeps this: reduced ones have statistics for runs."""
-    names = REDUCED[keep]
+    swept, names = {name: FIGURES[name] for name in SWEPT}, REDUCED[keep]
     reduced = {
         name: figure._replace(
             dimensions=("statistic", *(d for d in figure.dimensions if d != "run"))
         )
-        for name, figure in FIGURES.items()
+        for name, figure in swept.items()
         if name in names and "run" in figure.dimensions
     }
     paired = {
-        name: Figure(("pair_statistic",), "1", f"{one} beside {other} of the same run")
+        name: Figure(("pair_statistic",), "1", RATIOS[name].meaning, _of_moments)
         for name, (one, other) in PAIRS.items()
         if {one, other} <= set(names)
     }
-    return FIGURES | reduced | paired
+    return swept | reduced | paired
+
+
+def _of_moments(view: object) -> np.ndarray:
+    raise TypeError("a ratio is made of moments")
 
 
 def _with_statistics(

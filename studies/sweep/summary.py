@@ -1,6 +1,6 @@
 """The figures of a sweep's cells with their intervals: values for machines, a table for people."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -8,8 +8,12 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
+from concord.results.figures.figure_table import FIGURES, SWEPT
 from concord.results.figures.intervals import Interval
+from concord.results.figures.summary import level_of
+from concord.results.verdict.findings import Level
 from concord.scenarios.catalogue import definition_named
+from concord.studies.monte_carlo.moments import PAIRS
 from concord.studies.sweep.cell_data import CellData
 from concord.studies.sweep.results import flattened, specification_of
 from concord.studies.sweep.specification import shown
@@ -18,31 +22,25 @@ if TYPE_CHECKING:
     import xarray
 
 
-class CellFigures(msgspec.Struct, frozen=True):
-    """One cell. Every figure is [value, low, high] with the bounds of the interval over its runs.
+_OF_RUNS = tuple(name for name in SWEPT if FIGURES[name].dimensions == ("run",))
 
-    `to_centralised`, `to_bound` and `to_best` are ratios of root mean squares over the same runs:
-    to one filter that hears everything, to the posterior Cramer-Rao bound, to the best cell.
+
+class CellFigures(msgspec.Struct, frozen=True):
+    """One cell: its fields, the level of its verdict, and its figures.
+
+    A figure is [value, low, high] with the bounds of the interval over its runs, by the names of
+    `figure_table.FIGURES` and `RATIOS`. Beside these `to_bound` and `to_best` are ratios of root
+    mean squares over the same runs: to the posterior Cramer-Rao bound, to the best cell.
     `settling_steps` counts from the change (`--change-step`) until the error stays settled.
     """
 
     cell: dict[str, str | float | int | bool | None]
-    rmse: Interval
-    to_centralised: Interval
-    to_bound: Interval
-    to_best: Interval
-    worst_node_to_centralised: Interval
-    blind_to_centralised: Interval
-    disagreement: Interval
-    anees: Interval
-    coverage: Interval
-    published: Interval
-    bytes_per_step: Interval
-    energy_per_step_mj: Interval
-    bus_load: Interval
-    delay_us: Interval
-    share_age_cycles: Interval
-    settling_steps: Interval
+    level: Level
+    figures: dict[str, Interval]
+
+    def __getitem__(self, name: str) -> Interval:
+        """Return a figure."""
+        return self.figures[name]
 
 
 class SweepFigures(msgspec.Struct, frozen=True):
@@ -67,35 +65,32 @@ def figures_of(dataset: "xarray.Dataset", method: str = "t") -> SweepFigures:
         seed=_plain(dataset.attrs["seed"]),
         interval=method,
         cells=[
-            CellFigures(cell=dict(cell.values), **_figures(
-                part, best, specification.change_step, _first_scored(cell.scenario.name)
-            ))
+            _figures(dict(cell.values), part, best, specification.change_step,
+                     _first_scored(cell.scenario.name))
             for cell, part in parts
         ],
     )  # fmt: skip
 
 
-def _figures(part: CellData, best: CellData, change_step: int, first: int) -> dict[str, Interval]:
+def _figures(
+    cell: dict[str, Any], part: CellData, best: CellData, change_step: int, first: int
+) -> CellFigures:
     steps = ~np.isnan(part.rms("error"))
     bound = np.square(part.values("bound")[steps])[min(first, steps.sum() - 1) :].mean()
-    return {
-        "rmse": part.root_mean("rmse"),
-        "to_centralised": part.ratio("rmse", "rmse_centralised"),
+    figures = {
+        **{name: part.interval(name) for name in _OF_RUNS},
+        **{name: part.ratio(*pair) for name, pair in PAIRS.items()},
         "to_bound": part.root_mean("rmse", float(np.sqrt(bound))),
         "to_best": part.to(best, "rmse"),
-        "worst_node_to_centralised": part.ratio("rmse_worst_node", "rmse_centralised"),
-        "blind_to_centralised": part.ratio("rmse_blind", "rmse_centralised"),
-        "disagreement": part.root_mean("disagreement"),
-        **{
-            name: part.mean(variable)
-            for name, variable in {
-                "anees": "anees", "coverage": "coverage", "published": "published",
-                "bytes_per_step": "bytes_per_step", "energy_per_step_mj": "energy_per_step",
-                "bus_load": "bus_load", "delay_us": "delay_us", "share_age_cycles": "share_age",
-            }.items()
-        },
         "settling_steps": part.settling(change_step),
-    }  # fmt: skip
+    }
+    return CellFigures(cell, level_of(figures), figures)
+
+
+def as_json(figures: SweepFigures) -> dict[str, Any]:
+    """Return the figures as one JSON object, in which those of a cell stand beside its fields."""
+    cells = [{"cell": cell.cell, "level": cell.level, **cell.figures} for cell in figures.cells]
+    return {**msgspec.structs.asdict(figures), "cells": cells}
 
 
 def _plain(seed: object) -> int | str:
@@ -119,16 +114,18 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
+    unsound = any(cell.level != "WORKS" for cell in figures.cells)
     columns = {
-        f"RMSE {escape(f'[{figures.unit}]')}": lambda cell: _number(cell.rmse.value),
-        "x central": lambda cell: _with_half(cell.to_centralised),
-        "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell.to_best),
-        "ANEES": lambda cell: _with_half(cell.anees),
-        "B/step": lambda cell: _number(cell.bytes_per_step.value),
-        "load %": lambda cell: _number(100 * cell.bus_load.value),
-        "disagree": lambda cell: _number(cell.disagreement.value),
-        "covered %": lambda cell: _number(100 * cell.coverage.value),
-        "settled": lambda cell: _number(cell.settling_steps.value),
+        **({"": lambda cell: cell.level} if unsound else {}),
+        f"RMSE {escape(f'[{figures.unit}]')}": lambda cell: _number(cell["rmse"].value),
+        "x central": lambda cell: _with_half(cell["to_centralised"]),
+        "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell["to_best"]),
+        "ANEES": lambda cell: _with_half(cell["anees"]),
+        "B/step": lambda cell: _number(cell["bytes_per_step"].value),
+        "load %": lambda cell: _number(100 * cell["bus_load"].value),
+        "disagree": lambda cell: _number(cell["disagreement"].value),
+        "covered %": lambda cell: _number(100 * cell["coverage"].value),
+        "settled": lambda cell: _number(cell["settling_steps"].value),
     }
     taken = sum(max(len(name), *(len(shown(c.cell[name])) for c in figures.cells)) + 2
                 for name in fields)  # fmt: skip
@@ -152,7 +149,7 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
 
 
 def _is_best(cell: CellFigures) -> bool:
-    return cell.to_best.value == 1 and not cell.to_best.high > 1
+    return cell["to_best"].value == 1 and not cell["to_best"].high > 1
 
 
 def _with_half(interval: Interval) -> str:

@@ -49,11 +49,11 @@ def test_it_is_what_its_own_command_gives(options: dict[str, Any], says: str):
     own = summarise(*traced(**{**kept, **flags, "occupancy": kept.get("occupancy", 0.25)}))
     assert found.labelled.rmse == pytest.approx(own.rmse, rel=1e-9)
     assert own.bus is not None and found.bus is not None
-    assert found.labelled.wire_bytes_per_step == own.bus.wire_bytes_per_step
+    assert found.labelled.bytes_per_step == own.bus.bytes_per_step
     assert own.rmse_centralised == found.rmse_centralised
     line = opening(found)[1]
     assert f"would give {own.rmse / own.rmse_centralised:.3g} x at " in line
-    assert line.startswith(f"on the bus: {found.bus.wire_bytes_per_step:.0f} bytes a step; ")
+    assert line.startswith(f"on the bus: {found.bus.bytes_per_step:.0f} bytes a step; ")
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_nothing_is_said_where_it_could_not_be_compared(name: str, options: dict
 
 def test_a_bus_without_time_has_no_bytes():
     found = figures(*traced(bus="ideal"))
-    assert found.labelled is not None and found.labelled.wire_bytes_per_step is None
+    assert found.labelled is not None and found.labelled.bytes_per_step is None
     assert labelled_in_words(found.labelled, found.labelled.rmse, None).startswith(
         "labelled measurements would give 1 x: --rule labelled"
     )

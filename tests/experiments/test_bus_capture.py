@@ -147,7 +147,7 @@ def test_two_channels_carry_every_frame_with_their_own_checksum(tmp_path: Path):
     single = run(cluster="demo", occupancy=0.5)
     alone = figures_of(single.setup, single.trace)
     assert figures is not None and alone is not None
-    assert figures.load_mean == pytest.approx(alone.load_mean)
+    assert figures.bus_load == pytest.approx(alone.bus_load)
 
 
 def test_a_torn_recording_gives_the_frames_that_are_left():

@@ -88,15 +88,15 @@ def test_a_small_bus_by_hand():
     assert (figures.cluster, figures.cycle_us) == ("small", 400.0)
     assert figures.frames == 8
     assert (figures.frames_per_cycle_mean, figures.frames_per_cycle_max) == (2.0, 2)
-    assert figures.load_mean == pytest.approx(2 * FRAME_US / 400)
-    assert figures.load_max == pytest.approx(2 * FRAME_US / 400)
+    assert figures.bus_load == pytest.approx(2 * FRAME_US / 400)
+    assert figures.bus_load_max == pytest.approx(2 * FRAME_US / 400)
     # Eight frames of 20 bytes and 8 around them in two steps.
-    assert figures.wire_bytes_per_step == 4 * 28
+    assert figures.bytes_per_step == 4 * 28
     assert figures.wire_us_per_step == pytest.approx(4 * FRAME_US)
     # The dynamic segment begins after two slots of 60 us; node 2 sends in its first minislot, and
     # node 3 one minislot of 10 us later; the action point is 5 us into the minislot.
     last_us = (400 + 125 + FRAME_US, 400 + 135 + FRAME_US)
-    assert figures.delay_us_mean == pytest.approx(sum(last_us) / 2)
+    assert figures.delay_us == pytest.approx(sum(last_us) / 2)
     assert figures.delay_us_max == pytest.approx(last_us[1])
     assert (figures.contenders, figures.starved) == (2, [])
     assert (figures.longest_wait_cycles, figures.longest_wait_node) == (3, 3)
@@ -111,12 +111,12 @@ def test_a_bus_that_goes_on_between_the_steps_by_hand():
     # Step 1 is measured in cycle 6, has its turn from cycle 8 on, and ends with cycle 9.
     assert [bus.timebase.bus_cycle(cycle) for cycle in range(4)] == [0, 1, 8, 9]
     assert (figures.cycles, figures.cycles_all) == (4, 13)
-    assert figures.load_mean == pytest.approx(2 * FRAME_US / 400)
-    assert figures.load_all == pytest.approx(8 * FRAME_US / 5200)
+    assert figures.bus_load == pytest.approx(2 * FRAME_US / 400)
+    assert figures.bus_load_all == pytest.approx(8 * FRAME_US / 5200)
     assert figures.frames_per_cycle_all == pytest.approx(8 / 13)
     assert figures.wait_us_max == pytest.approx(8 * 400 - 2600)
     last_us = (400 + 125 + FRAME_US, 600 + 400 + 135 + FRAME_US)
-    assert figures.delay_us_mean == pytest.approx(sum(last_us) / 2)
+    assert figures.delay_us == pytest.approx(sum(last_us) / 2)
     assert figures.delay_us_max == pytest.approx(last_us[1])
     # Of the ages 0, 1; 0, 2, 3: cycles 1, 0; 9, 1 and 0.
     assert (figures.share_age_median_all, figures.share_age_max_all) == (1.0, 9)
@@ -167,7 +167,7 @@ def test_who_never_wins_starves_and_is_named():
 def test_silence_on_the_bus_is_no_load():
     nobody = marked([()] * 4)
     figures = bus_figures(small_plan(), in_one_class(0 * nobody), nobody, np.full((2, 1), -1))
-    assert (figures.frames, figures.load_max, figures.contenders) == (0, 0.0, 0)
+    assert (figures.frames, figures.bus_load_max, figures.contenders) == (0, 0.0, 0)
     assert figures.longest_wait_node is None
     assert figures.delay_us_max == pytest.approx(400.0)
 

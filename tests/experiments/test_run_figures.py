@@ -47,8 +47,8 @@ def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
         if single.bus is not None:
             ages = np.array(single.bus.share_ages)
             expected |= {
-                "bus_load": single.bus.load_mean,
-                "delay_us": single.bus.delay_us_mean,
+                "bus_load": single.bus.bus_load,
+                "delay_us": single.bus.delay_us,
                 "share_age": (ages * np.arange(len(ages))).sum() / ages.sum(),
                 "share_age_max": len(ages) - 1,
             }

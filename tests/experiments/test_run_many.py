@@ -65,9 +65,9 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
     assert found.shares_sent == pytest.approx(np.mean([one.shares_sent for one in expected]))
     buses = [one.bus for one in expected if one.bus is not None]
     assert len(buses) == len(expected)
-    assert found.bus_load.value == pytest.approx(np.mean([bus.load_mean for bus in buses]))
+    assert found.bus_load.value == pytest.approx(np.mean([bus.bus_load for bus in buses]))
     # The padding of a static slot is on the wire as well.
-    wire_bytes = np.mean([bus.wire_bytes_per_step for bus in buses])
+    wire_bytes = np.mean([bus.bytes_per_step for bus in buses])
     assert 0.5 * wire_bytes < found.bytes_per_step.value <= wire_bytes * (1 + 1e-12)
     assert f"bus load {100 * found.bus_load.value:.3g} %" in "".join(lines(found))
 

@@ -147,7 +147,7 @@ def test_a_run_reports_its_bus(bus: str, tmp_path: Path, capsys: pytest.CaptureF
     )  # fmt: skip
     figures = said.json()["bus"]
     assert figures["frames"] == 4 * 5 * 3 == len(packets(tmp_path / "run" / "bus.pcap"))
-    assert 0 < figures["load_max"] <= 1
+    assert 0 < figures["bus_load_max"] <= 1
     assert 0 < figures["delay_us_max"] - figures["wait_us_max"] <= 3 * figures["cycle_us"]
     (kept,) = struct.unpack_from("<I", (tmp_path / "run" / "bus.pcap").read_bytes(), 20)
     assert kept == build_bus(network(bus)).frame_format.link.number  # pyright: ignore

@@ -200,8 +200,8 @@ def _alternative_table(reports: list[PlanReport]) -> Table:
             report.number,
             f"{report.occupancy:.3g}",
             str(report.shares_per_cycle),
-            f"{100 * report.figures.load_mean:.0f} %",
-            f"{report.figures.delay_us_mean / 1e3:.4g}",
+            f"{100 * report.figures.bus_load:.0f} %",
+            f"{report.figures.delay_us / 1e3:.4g}",
             "yes" if report.fits_time else "no",
         )
     return grid

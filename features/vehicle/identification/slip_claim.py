@@ -17,8 +17,7 @@ from concord.features.vehicle.identification.logged_readings import LoggedReadin
 from concord.features.vehicle.plant.model import Tyre
 from concord.features.vehicle.plant.network import SIDE_SLIP
 from concord.features.vehicle.plant.parameters import Car
-from concord.results.figures.intervals import Interval
-from concord.results.run_verdict import anees_interval
+from concord.results.figures.intervals import Interval, batch_means
 
 FACTORS = 2.0 ** np.arange(0.0, 6.5, 0.5)
 """Of noise, tried side by side."""
@@ -72,7 +71,7 @@ def slip_claim(
                 claimed = estimates.cov[:, SIDE_SLIP, SIDE_SLIP] + known
                 squares.append(np.square(error) / claimed)
     every = np.stack(squares)
-    judged, factor = anees_interval(every[:, 0]), 1.0
+    judged, factor = batch_means(every[:, 0]), 1.0
     if by_reference or judged.low > 1:
         factor = least_covering(every.mean(axis=0))
     total = np.interp(np.log(factor), np.log(FACTORS), totals)

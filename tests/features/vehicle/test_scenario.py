@@ -83,7 +83,7 @@ def test_the_bus_is_the_cars():
     assert prepared.time_step_s == pytest.approx(5e-3)
     # 27 numbers and what frames them, in frames of 34 bytes: 9 of them for each of 4 nodes.
     assert figures.frames_per_cycle_mean == 36
-    assert 0.25 < figures.load_mean < 0.35
+    assert 0.25 < figures.bus_load < 0.35
 
 
 def test_a_node_process_knows_nothing_of_the_simulated_truth(tmp_path: Path):

@@ -1,24 +1,21 @@
-"""The sentence that ends a run: whether estimates, models and readings fit each other."""
+"""Findings on honesty: whether estimates, models and readings fit each other."""
 
 import numpy as np
 
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
-from concord.results.innovations.diagnosis import (
-    FALSE_ALARMS,
-    Cause,
-    Channel,
-    Diagnosis,
-)
-from concord.results.run_verdict import beyond
+from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
+from concord.results.verdict.findings import MARGIN, Finding, Level, beyond
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.types.filters import UnscentedFilter
 
-ESTIMATES_CONFIDENCE = 1 - FALSE_ALARMS / 2
-"""Of the two intervals of the nodes' estimates, NIS and ANEES: both hold 1 in all but
-`FALSE_ALARMS` of the runs that are consistent."""
+ESTIMATES_CONFIDENCE = 0.995
+"""Of the two intervals of the nodes' estimates, NIS and ANEES, in runs that depend on each other
+step by step."""
 
+_TOO_WIDE = 3.0
+"""An interval of ANEES that reaches from a third of 1 to three times 1 tells nothing."""
 _ABSURD = 100.0
 """NIS of a channel that no noise explains."""
 _MATTERS = 0.5
@@ -56,52 +53,64 @@ _OF_ONE = {
 }
 
 
-def innovation_verdict(
+def honesty(
     scenario: Scenario,
     diagnosis: Diagnosis,
     nis: Interval,
     anees: Interval,
-    suspicion: Interval,
     explained: Explanation,
-) -> str:
-    """The verdict, computed from the diagnosis and from the nodes' own figures.
+    enough: str,
+) -> Finding:
+    """The finding, computed from the diagnosis and from the nodes' own figures.
 
     `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
-    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. `suspicion` is ANEES with the
-    95 % interval that the run's figures show. The cause of `explained`, if there is one, takes the
-    place of the cause that channels point to.
+    `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. The cause of `explained`, if
+    there is one, takes the place of the cause that channels point to. `enough` are the options of
+    a run that is long enough to judge.
     """
     if diagnosis.cause is Cause.UNKNOWN:
-        return (
-            f"too few readings to judge; no channel has {LEAST_UPDATES} in the scored "
-            "steps, so use more --steps"
-        )
+        few = f"too few readings to judge: no channel has {LEAST_UPDATES} in the scored steps"
+        return Finding(level="CHECK", cause="too short", said=few, cure=f"use {enough}")
     if diagnosis.cause is not Cause.NONE:
-        return _beside_errors(*_of_readings(scenario, diagnosis, explained), anees, explained)
-    lead, said = _of_estimates(scenario, nis, anees, suspicion)
+        lead, said = _of_readings(scenario, diagnosis, explained)
+        lead, said = _beside_errors(lead, said, anees, explained)
+        channel = diagnosis.channel
+        where = (None, None) if channel is None else (channel.node, channel.name)
+        return Finding(level=_LEVELS[lead], cause=lead, said=f"{lead}: {said}", node=where[0],
+                       sensor=where[1])  # fmt: skip
+    lead, said = _of_estimates(scenario, nis, anees)
     if explained.cause:
         lead = "undecided" if lead == "consistent" else lead
         said += f"; yet {explained.cause}"
-    if lead == "underconfident":  # the fault of the rule, not of the filter that hears everything
-        return f"{lead}: {said}"
-    return _beside_errors(lead, said, anees, explained)
+    if lead not in ("cautious", "too short"):  # the rule's doing, not that of the best filter
+        lead, said = _beside_errors(lead, said, anees, explained)
+    cure = f"use {enough}" if lead == "too short" else ""
+    return Finding(level=_LEVELS[lead], cause=lead, said=f"{lead}: {said}", cure=cure)
 
 
-def _beside_errors(lead: str, said: str, anees: Interval, explained: Explanation) -> str:
+_LEVELS: dict[str, Level] = {
+    "overconfident": "CHECK", "biased": "CHECK", "underconfident": "CHECK", "coloured": "CHECK",
+    "undecided": "CHECK", "too short": "CHECK", "consistent": "WORKS", "cautious": "WORKS",
+}  # fmt: skip
+
+
+def _beside_errors(
+    lead: str, said: str, anees: Interval, explained: Explanation
+) -> tuple[str, str]:
     """The verdict on readings, unless errors of estimates show more, or another confidence."""
     told = bool(explained.errors)
     found = Interval(*explained.anees) if told else anees
     errors = explained.errors or f"ANEES is {_short(anees.value)} where 1 is right"
     claims = beyond(found)
     if lead != "overconfident" and claims == "overconfident":
-        return f"overconfident: {errors}; innovations alone would say {lead}: {said}"
+        return "overconfident", f"{errors}; innovations alone would say {lead}: {said}"
     if not told:
-        return f"{lead}: {said}"
+        return lead, said
     if lead == "underconfident" and not claims:
         # Noise that covers lasting errors of the model leaves small innovations as well.
         of_errors = "undecided" if np.isnan(found.low) else "consistent"
-        return f"{of_errors}: {errors}; innovations alone would say {lead}: {said}"
-    return f"{lead}: {said}; {errors}"
+        return of_errors, f"{errors}; innovations alone would say {lead}: {said}"
+    return lead, f"{said}; {errors}"
 
 
 def _of_readings(
@@ -169,31 +178,32 @@ def _lead(diagnosis: Diagnosis) -> str:
     return "biased" if diagnosis.cause is Cause.OFFSET else "coloured"
 
 
-def _of_estimates(
-    scenario: Scenario, nis: Interval, anees: Interval, suspicion: Interval
-) -> tuple[str, str]:
+def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval) -> tuple[str, str]:
     fits = "models and sensors fit the readings"
     for name, found in (("ANEES", anees), ("NIS", nis)):
-        shown = f"{name} {_short(found.value)} where 1 is right"
-        if confidence := beyond(found):
-            claims = "too much" if confidence == "overconfident" else "too little"
-            return confidence, f"{fits}, but rule {scenario.rule.name} claims {claims} ({shown})"
-    doubt = beyond(suspicion)
-    if doubt:
-        side = "above" if doubt == "overconfident" else "below"
-        return "undecided", (
-            f"{fits}, but ANEES {_short(anees.value)} is {side} 1 at 95 % and not at "
-            f"{100 * ESTIMATES_CONFIDENCE:g} %; use more --steps or --runs"
-        )
+        confidence = beyond(found)
+        if confidence == "overconfident":
+            shown = f"{name} {_short(found.value)} where 1 is right"
+            return confidence, f"{fits}, but rule {scenario.rule.name} claims too much ({shown})"
+    if not np.isnan(anees.low) and anees.low < 1 / _TOO_WIDE and anees.high > _TOO_WIDE:
+        bounds = f"{_short(anees.low)} to {_short(anees.high)}"
+        return "too short", f"{fits}, but ANEES {_short(anees.value)} may be {bounds}"
+    if anees.value < 1 / MARGIN and not np.isnan(anees.low):
+        return "cautious", f"nodes claim {times_claimed(anees.value)}"
     figures = (("NIS", nis), ("ANEES", anees))
     judged = [f"{name} {_short(found.value)}" for name, found in figures if not np.isnan(found.low)]
     said = fits
     if judged:
         said += f" ({', '.join(judged)} where 1 is right)"
-    for name, found in figures:
-        if np.isnan(found.low) and not np.isnan(found.value):
-            said += f"; too few scored steps to judge {name} {_short(found.value)}"
+    unjudged = [f"{n} {_short(f.value)}" for n, f in figures if np.isnan(f.low) and f.value > 0]
+    if unjudged:
+        return "too short", f"{said}; too few scored steps to judge {' and '.join(unjudged)}"
     return "consistent", said
+
+
+def times_claimed(anees: float) -> str:
+    """ "errors 1.25 times those they make (ANEES 0.64; 1 is exact)"."""
+    return f"errors {1 / np.sqrt(anees):.3g} times those they make (ANEES {anees:.3g}; 1 is exact)"
 
 
 def _mean(test: ChannelTest, channel: Channel) -> str:

@@ -1,0 +1,180 @@
+"""The verdict on runs: failures first, then what was recorded, then honesty."""
+
+from collections.abc import Iterator
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import mean_of_known
+from concord.results.figures.intervals import (
+    BATCHES,
+    Interval,
+    batch_means,
+    chi_square_quantile,
+    positive_mean_t,
+)
+from concord.results.figures.network_errors import where_counted
+from concord.results.figures.run_view import RunView
+from concord.results.innovations.channel_test import LEAST_UPDATES
+from concord.results.innovations.figures import (
+    InnovationFigures,
+    innovation_figures,
+    nis_per_step,
+    outside_model,
+)
+from concord.results.innovations.gates import accepted, refused_by_gates
+from concord.results.verdict.failures import failures
+from concord.results.verdict.findings import Finding, Verdict, beyond, verdict_of
+from concord.results.verdict.honesty import (
+    ESTIMATES_CONFIDENCE,
+    honesty,
+    outside_in_words,
+    times_claimed,
+)
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.innovations import Innovations
+
+_TAIL = 0.999
+_HEAVY = 10.0
+"""So many times the expected share of estimates beyond the quantile `_TAIL` is no chance."""
+
+
+class Judged(NamedTuple):
+    """The verdict, and the figures of innovations; None where estimates are sets, or sensors have
+    no filter."""
+
+    verdict: Verdict
+    innovations: InnovationFigures | None
+
+
+def judge(view: RunView, heard: Innovations | None) -> Judged:
+    """Judge runs; `heard` are the innovations (R, S, N, r, m) of the filter that hears everything,
+    None where the runs have none of their own."""
+    own, counted = view.runs.innovations, view.counted
+    if own is None or heard is None:
+        found = [*failures(view, None), *_recorded(view)]
+        return Judged(verdict_of([*found, *_without_innovations(view)]), None)
+    belief = Gaussian(view.frame.mean, view.frame.cov)
+    outside = outside_model(view.setup, belief, counted)
+    counted = counted & ~outside.steps
+    mine, best = (
+        Innovations(*(where_counted(counted, part) for part in accepted(view.setup, one)))
+        for one in (own, heard)
+    )
+    figures, diagnosis = innovation_figures(view.setup, mine, best, outside.shares)
+    refused = refused_by_gates(view.setup, own, counted)
+    findings = [*failures(view, refused), *_recorded(view)]
+    if not any(one.level == "FAILED" for one in findings):
+        # What the plant's own data tell takes seconds, and nothing of a run that failed.
+        explained = definition_of(view.setup.scenario).explain(view.setup, belief, counted)
+        nis = _interval_of(nis_per_step(mine), ESTIMATES_CONFIDENCE)
+        anees = anees_interval(view, ESTIMATES_CONFIDENCE)
+        one = honesty(view.setup.scenario, diagnosis, nis, anees, explained, _enough(view))
+        findings += [*_tails(view), *_too_few(view, one)]
+        # The tails say more than a mean which a few runs decide.
+        findings.append(with_words(one, outside_in_words(outside.shares)))
+    return Judged(verdict_of(findings), figures)
+
+
+def with_words(finding: Finding, more: str) -> Finding:
+    """Return the finding with more words at the end of its sentence."""
+    return finding if not more else _said(finding, finding.said + more)
+
+
+def _said(finding: Finding, said: str) -> Finding:
+    from msgspec.structs import replace
+
+    return replace(finding, said=said)
+
+
+def anees_interval(view: RunView, confidence: float = 0.95) -> Interval:
+    """Return the interval of ANEES: over runs, or over batches of steps of one run."""
+    per_step = mean_of_known(view.errors.nees, (2,))
+    return _interval_of(where_counted(view.counted, per_step), confidence)
+
+
+def _interval_of(per_step: np.ndarray, confidence: float) -> Interval:
+    """The interval of a mean over the runs and steps (R, S), over batches of steps for one run."""
+    if len(per_step) == 1:
+        return batch_means(per_step[0], confidence)
+    return positive_mean_t(mean_of_known(per_step, (1,)), confidence)
+
+
+def _recorded(view: RunView) -> Iterator[Finding]:
+    steps, asked = view.runs.steps, view.setup.scenario.steps
+    if steps < asked:
+        yield Finding(
+            level="CHECK",
+            cause="incomplete",
+            said=f"{steps} of {asked} steps were completed by all nodes",
+            cure=f"run it again, or ask for --steps {steps}",
+            count=steps,
+        )
+
+
+def _enough(view: RunView) -> str:
+    """The options of a run that is long enough to judge."""
+    counted = int(view.counted.sum(axis=1).max())
+    first = view.runs.steps - counted
+    taken = np.isfinite(view.readings).any(axis=(3, 4))
+    most = int(where_counted(view.counted, taken.astype(float))[:, first:].sum(axis=(0, 1)).max())
+    rate = most / max(len(view.readings) * counted, 1)
+    least = max(2 * BATCHES, ceil(2 * LEAST_UPDATES / rate) if rate else 0)
+    return f"--steps {first + max(least, 2 * counted if counted >= least else 0)}"
+
+
+def _tails(view: RunView) -> Iterator[Finding]:
+    """Whether more estimates lie far out than a chi-square law lets, in most runs or in some."""
+    nees, states = view.scored(view.errors.nees), len(view.score.nees_states)
+    known = np.logical_not(np.isnan(nees))
+    if len(nees) < 2 or not known.any():
+        return
+    limit = chi_square_quantile(_TAIL, states) / states
+    share = mean_of_known(np.where(known, nees > limit, np.nan), (1, 2))
+    middle = float(np.nanmedian(mean_of_known(nees, (1, 2))))
+    far = float(np.nanmean(share))
+    some = int((share > _HEAVY * (1 - _TAIL)).sum())
+    mean = anees_interval(view)
+    if middle <= 1.1 and some and far > _HEAVY * (1 - _TAIL) and mean.value > 1.1:
+        yield Finding(
+            level="CHECK",
+            cause="heavy tails",
+            said=(
+                f"in {some} of {len(share)} runs estimates are far out: {100 * far:.2g} % of all "
+                f"lie beyond the 99.9 % quantile, though the median run has ANEES {middle:.3g}"
+            ),
+            cure=f"look at run {int(view.runs.runs[int(share.argmax())])} with --run",
+            count=some,
+        )
+
+
+def _too_few(view: RunView, honest: Finding) -> Iterator[Finding]:
+    """Of many runs, that they are too few, in place of that steps are."""
+    if honest.cause == "too short" and len(view.readings) > 1:
+        runs = max(5, 4 * len(view.readings))
+        yield Finding(level="CHECK", cause="too short", said=honest.said, cure=f"use --runs {runs}")
+
+
+def _without_innovations(view: RunView) -> Iterator[Finding]:
+    """Of sets, whether they hold the truth; else ANEES alone."""
+    if view.sets is not None:
+        found = view.sets[False]
+        outside = int((found.known & ~(found.values <= 1)).sum())
+        sets = int(found.known.sum())
+        said = f"sets: {outside} of {sets} do not hold the truth"
+        level = "CHECK" if outside else "WORKS"
+        cause = "sets miss the truth" if outside else "consistent"
+        yield Finding(level=level, cause=cause, said=said, count=outside)
+        return
+    anees = anees_interval(view, ESTIMATES_CONFIDENCE)
+    if beyond(anees) == "overconfident":
+        said = f"overconfident: ANEES is {anees.value:.3g} where 1 is right"
+        yield Finding(level="CHECK", cause="overconfident", said=said)
+    elif anees.value < 1 / 1.1:
+        said = f"cautious: nodes claim {times_claimed(anees.value)}"
+        yield Finding(level="WORKS", cause="cautious", said=said)
+    else:
+        shown = "" if np.isnan(anees.value) else f" (ANEES {anees.value:.3g} where 1 is right)"
+        yield Finding(level="WORKS", cause="consistent", said=f"consistent: nothing failed{shown}")
