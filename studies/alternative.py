@@ -5,7 +5,7 @@ from math import isnan
 from typing import NamedTuple
 
 from concord.filters.metrics import rmse
-from concord.results.bus.bus_report import shares_of, wire_per_step
+from concord.results.bus.bus_times import shares_of, wire_per_step
 from concord.results.figures.summary import Summary
 from concord.results.records.runs import Runs
 from concord.scenarios.build import build_bus

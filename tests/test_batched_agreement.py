@@ -13,7 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from concord.results.records.histories import Histories
+from concord.results.records.runs import Runs
 from concord.results.records.trace import read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import in_memory
@@ -63,7 +63,7 @@ def check_changing(asked: Scenario) -> None:
     check_agreement(asked)
 
 
-def check_run(histories: Histories, place: int, setup: Setup) -> None:
+def check_run(histories: Runs, place: int, setup: Setup) -> None:
     trace = read_trace(setup, in_memory(setup))
     sd = np.sqrt(np.diagonal(trace.cov, axis1=-2, axis2=-1))
     assert histories.cov is not None and histories.ages is not None

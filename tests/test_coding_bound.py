@@ -15,10 +15,9 @@ import pytest
 
 from concord.nodes.lanes.labelled import BatchedFlooding
 from concord.nodes.lanes.links import neighbourhoods
-from concord.results.records.histories import RunCost
+from concord.results.figures.summary import Summary, summarise
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
-from concord.studies.monte_carlo.many_figures import ManyFigures, summarise
 from concord.studies.monte_carlo.simulate import simulate
 
 pytestmark = pytest.mark.slow
@@ -89,9 +88,9 @@ def test_more_and_shorter_shares_err_less_in_less_of_the_bus() -> None:
     assert max(node.anees.value for node in short.nodes) < short.anees_centralised.value + 0.1
 
 
-def _figures(options: dict[str, Any]) -> ManyFigures:
+def _figures(options: dict[str, Any]) -> Summary:
     setup = prepare(scenario_of("target-tracking", **options))
-    return summarise(simulate(setup, range(10)), RunCost(1.0, 1.0))
+    return summarise(simulate(setup, range(10)))
 
 
 def _error(options: dict[str, Any]) -> float:

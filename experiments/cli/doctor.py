@@ -57,8 +57,8 @@ class Verdict(Enum):
     FAILING = "failing"
 
 
-class Finding(msgspec.Struct, frozen=True):
-    """Finding: subject, status, observation, and remedy (empty if none is needed)."""
+class Looked(msgspec.Struct, frozen=True):
+    """Looked: subject, status, observation, and remedy (empty if none is needed)."""
 
     subject: str
     verdict: Verdict
@@ -101,7 +101,7 @@ def doctor(options: Annotated[DoctorOptions, tyro.conf.arg(name="")]) -> None:
     sys.exit(0 if healthy else 1)
 
 
-def _show(finding: Finding) -> None:
+def _show(finding: Looked) -> None:
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"{finding.verdict.value:8}", style=_STYLES[finding.verdict], end="")
     console.print(f"{finding.subject}: {finding.seen}", markup=False)
@@ -109,9 +109,9 @@ def _show(finding: Finding) -> None:
         console.print(f"        -> {finding.cure}", markup=False)
 
 
-def look(nodes: int) -> Iterator[Finding]:
+def look(nodes: int) -> Iterator[Looked]:
     """Yield every finding for a network of `nodes`."""
-    yield Finding("python", Verdict.OK, f"{platform.python_version()} on {platform.machine()}")
+    yield Looked("python", Verdict.OK, f"{platform.python_version()} on {platform.machine()}")
     yield sockets()
     yield files(nodes)
     yield zenoh(round_trip_s)
@@ -124,14 +124,14 @@ def look(nodes: int) -> Iterator[Finding]:
         yield extra(name)
 
 
-def zenoh(measure: Callable[[], float]) -> Finding:
+def zenoh(measure: Callable[[], float]) -> Looked:
     """Return whether two sessions hear each other over a unix socket."""
     try:
         seconds = measure()
     except (LinkError, TimeoutError, ValueError) as error:
         cure = "allow unix sockets between processes, or look at the sandbox"
-        return Finding("zenoh", Verdict.FAILING, str(error), cure)
-    return Finding("zenoh", Verdict.OK, f"there and back in {seconds * 1e6:.0f} µs")
+        return Looked("zenoh", Verdict.FAILING, str(error), cure)
+    return Looked("zenoh", Verdict.OK, f"there and back in {seconds * 1e6:.0f} µs")
 
 
 def round_trip_s() -> float:
@@ -184,91 +184,87 @@ def _round_trip_s(endpoint: str) -> float:
     return sorted(times)[len(times) // 2]
 
 
-def browser(which: Callable[[str], str | None]) -> Finding:
+def browser(which: Callable[[str], str | None]) -> Looked:
     """Return whether the dashboard can be looked at on this"""
     found = next((path for name in _BROWSERS if (path := which(name))), None)
     if found is None:
         cure = "install one, or look from another machine: ssh -L 8080:localhost:8080 THIS-ONE"
-        return Finding("browser", Verdict.WARNING, "none here for the dashboard", cure)
-    return Finding("browser", Verdict.OK, found)
+        return Looked("browser", Verdict.WARNING, "none here for the dashboard", cure)
+    return Looked("browser", Verdict.OK, found)
 
 
-def extra(name: str) -> Finding:
+def extra(name: str) -> Looked:
     """Return whether an optional part is installed."""
     module, purpose = EXTRAS[name]
     if importlib.util.find_spec(module) is None:
         cure = f"if you want {purpose}: `make extras`, or `pip install '.[{name}]'` in a checkout"
-        return Finding(f"extra {name}", Verdict.OPTIONAL, "not installed", cure)
-    return Finding(f"extra {name}", Verdict.OK, f"installed: {purpose}")
+        return Looked(f"extra {name}", Verdict.OPTIONAL, "not installed", cure)
+    return Looked(f"extra {name}", Verdict.OK, f"installed: {purpose}")
 
 
-def memory(nodes: int, available_mb: float | None) -> Finding:
+def memory(nodes: int, available_mb: float | None) -> Looked:
     """Return whether `nodes` processes fit into what is free."""
     need = BASE_MB + NODE_MB * nodes
     if available_mb is None:
         said = f"{nodes} nodes need about {need} MB; this system does not say what is free"
-        return Finding("memory", Verdict.WARNING, said, "look at its own monitor before you start")
+        return Looked("memory", Verdict.WARNING, said, "look at its own monitor before you start")
     said = f"{nodes} nodes need about {need} MB, {available_mb:.0f} MB are free"
     if need > available_mb:
         fit = max(0, int((available_mb - BASE_MB) // NODE_MB))
         cure = f"close something, take at most {fit} nodes, or the in-process driver"
-        return Finding("memory", Verdict.FAILING, said, cure)
+        return Looked("memory", Verdict.FAILING, said, cure)
     if need > available_mb / 2:
-        return Finding("memory", Verdict.WARNING, said, "close what you do not need")
-    return Finding("memory", Verdict.OK, said)
+        return Looked("memory", Verdict.WARNING, said, "close what you do not need")
+    return Looked("memory", Verdict.OK, said)
 
 
-def sockets() -> Finding:
+def sockets() -> Looked:
     """Return whether a network finds a folder of its own for its unix sockets."""
     try:
         with socket_folder() as folder:
             said = f"in a folder of {Path(folder).parent} that no other user can open"
     except ValueError as error:
-        return Finding("sockets", Verdict.FAILING, str(error), "set TMPDIR")
-    return Finding("sockets", Verdict.OK, said)
+        return Looked("sockets", Verdict.FAILING, str(error), "set TMPDIR")
+    return Looked("sockets", Verdict.OK, said)
 
 
-def files(nodes: int, limit: int | None = None) -> Finding:
+def files(nodes: int, limit: int | None = None) -> Looked:
     """Return whether the launcher may open what it needs for `nodes` nodes."""
     if limit is None:
         limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     need = _FILES_BASE + _FILES_PER_PROCESS * nodes
     if limit == resource.RLIM_INFINITY or limit >= need:
-        return Finding(
-            "files", Verdict.OK, f"a process may open {_words(limit)}, {need} are enough"
-        )
+        return Looked("files", Verdict.OK, f"a process may open {_words(limit)}, {need} are enough")
     said = f"a process may open {limit} files, {nodes} nodes may need {need}"
-    return Finding("files", Verdict.FAILING, said, f"ulimit -n {need}")
+    return Looked("files", Verdict.FAILING, said, f"ulimit -n {need}")
 
 
 def _words(limit: int) -> str:
     return "any number of files" if limit == resource.RLIM_INFINITY else f"{limit} files"
 
 
-def blas(environment: Mapping[str, str], cores: int | None) -> Finding:
+def blas(environment: Mapping[str, str], cores: int | None) -> Looked:
     """Whether each process computes with one thread, as repeatable sums and many nodes want it."""
     said = {name: environment[name] for name in _BLAS_VARIABLES if name in environment}
     more = [f"{name}={value}" for name, value in said.items() if value != "1"]
     if more:
         cure = f"unset {' '.join(one.partition('=')[0] for one in more)}: one thread is the default"
-        return Finding("threads", Verdict.WARNING, f"linear algebra has {', '.join(more)}", cure)
+        return Looked("threads", Verdict.WARNING, f"linear algebra has {', '.join(more)}", cure)
     here = "an unknown number of" if cores is None else str(cores)
-    return Finding("threads", Verdict.OK, f"linear algebra takes one per process, {here} cores")
+    return Looked("threads", Verdict.OK, f"linear algebra takes one per process, {here} cores")
 
 
-def clock(lateness_s: Sequence[float], year: int) -> Finding:
+def clock(lateness_s: Sequence[float], year: int) -> Looked:
     """How late this machine wakes up, and whether its date can be right."""
     if year < _FIRST_YEAR:
         said = f"the clock says it is {year}"
-        return Finding(
-            "clock", Verdict.FAILING, said, "set it: certificates are checked against it"
-        )
+        return Looked("clock", Verdict.FAILING, said, "set it: certificates are checked against it")
     late = statistics.median(lateness_s)
     said = f"wakes up {late * 1e3:.2f} ms late (median), {max(lateness_s) * 1e3:.1f} ms at most"
     if late > _LATE_S:
         cure = "end what else computes, or stretch time; lockstep runs do not mind"
-        return Finding("clock", Verdict.WARNING, said, cure)
-    return Finding("clock", Verdict.OK, said)
+        return Looked("clock", Verdict.WARNING, said, cure)
+    return Looked("clock", Verdict.OK, said)
 
 
 def measured_lateness_s(sleeps: int = 30, asleep_s: float = 0.001) -> list[float]:
@@ -281,13 +277,13 @@ def measured_lateness_s(sleeps: int = 30, asleep_s: float = 0.001) -> list[float
     return late
 
 
-def disk(folder: Path) -> Finding:
+def disk(folder: Path) -> Looked:
     """Return whether recordings can be written here."""
     if not os.access(folder, os.W_OK):
         said = f"{folder} cannot be written to"
-        return Finding("disk", Verdict.FAILING, said, "start in another folder, or name one: --out")
+        return Looked("disk", Verdict.FAILING, said, "start in another folder, or name one: --out")
     free = shutil.disk_usage(folder).free / 1e6
     if free < _DISK_MB:
         said = f"{free:.0f} MB are free in {folder}"
-        return Finding("disk", Verdict.WARNING, said, "long runs record more; make room")
-    return Finding("disk", Verdict.OK, f"{free / 1e3:.1f} GB are free in {folder}")
+        return Looked("disk", Verdict.WARNING, said, "long runs record more; make room")
+    return Looked("disk", Verdict.OK, f"{free / 1e3:.1f} GB are free in {folder}")

@@ -188,7 +188,7 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     return f"{several} {description.run}", [
         Paragraph(f"Driver {description.driver}, seed {description.seed}."),
         Paragraph(figures.verdict.in_words()),
-        *(Paragraph(one.in_words()) for one in figures.absences),
+        *(Paragraph(one.in_words()) for one in figures.outages),
         *(Paragraph(text) for text in lines(figures)),
         Grid(head, [*rows, ["all", *whole]], 1),
         *_provenance({"commit": str(description.commit), **description.versions}, scenario),

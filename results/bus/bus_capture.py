@@ -40,7 +40,7 @@ from concord.nodes.faults.retries import (
     without_errors,
 )
 from concord.nodes.faults.senders import sent
-from concord.results.bus.bus_report import timetable
+from concord.results.bus.bus_times import timetable
 from concord.results.records.trace import Trace
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.build import build_bus

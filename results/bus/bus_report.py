@@ -6,15 +6,21 @@ same report.
 
 from collections.abc import Sequence
 from math import isnan, nan
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from concord.bus.bus import Bus, Transmission, retransmits
+from concord.results.bus.bus_times import (
+    cycle_numbers,
+    delays_us,
+    has_times,
+    on_the_wire,
+    shares_of,
+    timetable,
+)
 from concord.results.bus.sent_shares import SentShares
 from concord.results.records.runs import Runs
-from concord.runtime.batched.build import changes_of
 from concord.scenarios.build import build_bus
 
 
@@ -85,27 +91,10 @@ class BusFigures(msgspec.Struct, frozen=True):
     never_heard: int
 
 
-class BusTimes(NamedTuple):
-    """Times on the bus.
-
-    `bus_cycle` (steps, rounds) numbers the cycles that carry rounds among all of the bus, from the
-    beginning of the run. `load` (steps, rounds) is that of the busier channel. `delay_us` (steps,)
-    counts from the measurement to the last share. `share_start_us` and `share_end_us` (steps,
-    rounds, N) are the times of a share's first and last bit. They count from the start of the
-    cycle; NaN means that no share was sent.
-    """
-
-    bus_cycle: np.ndarray
-    load: np.ndarray
-    delay_us: np.ndarray
-    share_start_us: np.ndarray
-    share_end_us: np.ndarray
-
-
 def figures_of(runs: Runs) -> BusFigures | None:
     """The figures of one run's bus; None where the bus has no time, or was another in the run."""
     bus, sender = build_bus(runs.setup), runs.links[1]
-    if not _has_times(bus, runs):
+    if not has_times(bus, runs):
         return None
     assert runs.ages is not None, "keep the ages"
     tables = (*bus.schedule.static_table, *bus.schedule.contender_table)
@@ -113,30 +102,6 @@ def figures_of(runs: Runs) -> BusFigures | None:
     heard = runs.ages[0][:, np.isin(sender, sorted(publishers))]
     errors = runs.counters.get("error frame", np.zeros((1, runs.setup.scenario.nodes), int))
     return bus_figures(bus, shares_of(runs), runs.asked[0], heard, errors[0].tolist())
-
-
-def times_of(runs: Runs) -> BusTimes | None:
-    """When what was on the bus in one run; None where the bus has no time, or was another."""
-    bus = build_bus(runs.setup)
-    return bus_times(bus, shares_of(runs)) if _has_times(bus, runs) else None
-
-
-def shares_of(runs: Runs) -> SentShares:
-    """The shares that the nodes sent in the first of some runs."""
-    cut = None if runs.cut is None else runs.cut[0]
-    return SentShares(runs.payload_bytes[0], np.asarray(runs.classes[0]), cut)
-
-
-def _has_times(bus: Bus, runs: Runs) -> bool:
-    changed = any(change.anew for change in changes_of(runs.setup))
-    return bus.has_time and not changed and (runs.history is None or runs.history.one_bus)
-
-
-def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
-    """Return the frames of every cycle from cycle 0 on (`Bus.transmissions`)."""
-    numbers = sent.payload_bytes, sent.classes
-    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in numbers)
-    return [bus.transmissions(cycle, *row) for cycle, row in enumerate(zip(*rows, strict=True))]
 
 
 def bus_figures(
@@ -158,13 +123,13 @@ def bus_figures(
     ages_all = timebase.ages_over_all(ages)[ages >= 0]
     frames = [len(cycle) for cycle in cycles]
     load = [bus.load(cycle) for cycle in cycles]
-    delay_us = _delays_us(
+    delay_us = delays_us(
         bus, cycles if shares.cut is None else timetable(bus, shares.whole), rounds
     )
     sent_frames = [frame for cycle in cycles for frame in cycle]
-    bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
+    bytes_per_step, wire_us_per_step = on_the_wire(bus, sent_frames, len(cycles) / rounds)
     asked, sent = asked.reshape(-1, nodes), shares.whole.payload_bytes.reshape(-1, nodes) > 0
-    waits, waits_all = longest_waits(asked, sent, _numbers(bus, len(cycles)))
+    waits, waits_all = longest_waits(asked, sent, cycle_numbers(bus, len(cycles)))
     empty = [empty_minislots(cycle) for cycle in cycles]
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
     return BusFigures(
@@ -205,32 +170,6 @@ def bus_figures(
     )
 
 
-def _numbers(bus: Bus, cycles: int) -> np.ndarray:
-    """The numbers on the bus (cycles,) of the first cycles that carry rounds."""
-    return np.array([bus.timebase.bus_cycle(cycle) for cycle in range(cycles)], dtype=np.int64)
-
-
-def _delays_us(bus: Bus, cycles: Sequence[Sequence[Transmission]], rounds: int) -> list[float]:
-    """The time of each step from its measurement to its last share."""
-    return [
-        bus.timebase.wait_us(step) + bus.fusion_delay_us(rounds, last)
-        for step, last in enumerate(cycles[rounds - 1 :: rounds])
-    ]
-
-
-def wire_per_step(bus: Bus, sent: SentShares) -> tuple[float, float]:
-    """Bytes of all frames with headers and padding, and microseconds, per step: of a bus with time
-    on which these shares (steps, rounds, N) were sent."""
-    frames = [frame for cycle in timetable(bus, sent) for frame in cycle]
-    return _on_the_wire(bus, frames, len(sent.payload_bytes))
-
-
-def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
-    overhead_bytes = bus.frame_format.overhead_bytes
-    wire_bytes = sum(frame.payload_bytes + overhead_bytes for frame in frames)
-    return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
-
-
 def _errors_us(bus: Bus, frames: Sequence[Transmission], errors: Sequence[int]) -> float:
     """Return the time of failed tries; those of a node last as long as its frames on average."""
     if not (retransmits(bus) and any(errors)):
@@ -249,26 +188,6 @@ def _channel_loads(bus: Bus, frames: Sequence[Transmission], cycles: int) -> dic
         for channel in frame.channel:
             busy_us[channel] += frame.end_us - frame.start_us
     return {channel: busy / cycles / bus.cycle_us for channel, busy in busy_us.items()}
-
-
-def bus_times(bus: Bus, sent: SentShares) -> BusTimes:
-    """When what is on a bus with time, on which these shares (steps, rounds, N) were sent."""
-    cycles = timetable(bus, sent)
-    whole = cycles if sent.cut is None else timetable(bus, sent.whole)
-    rounds, nodes = sent.payload_bytes.shape[1:]
-    start_us = np.full((len(cycles), nodes), np.nan)
-    end_us = np.full((len(cycles), nodes), np.nan)
-    for number, cycle in enumerate(whole):
-        for frame in cycle:
-            start_us[number, frame.node] = np.fmin(start_us[number, frame.node], frame.start_us)
-            end_us[number, frame.node] = np.fmax(end_us[number, frame.node], frame.end_us)
-    return BusTimes(
-        _numbers(bus, len(cycles)).reshape(-1, rounds),
-        np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
-        np.array(_delays_us(bus, whole, rounds)),
-        start_us.reshape(sent.payload_bytes.shape),
-        end_us.reshape(sent.payload_bytes.shape),
-    )
 
 
 def longest_waits(

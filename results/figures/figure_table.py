@@ -76,14 +76,14 @@ def _counts(name: str, view: "RunView") -> np.ndarray:
 
 
 def _alone(view: "RunView") -> np.ndarray:
-    """The median over the nodes that take a reading in a step that counts."""
+    """The median over the nodes that estimate, and take a reading in a step that counts."""
     each = view.root(view.squares_alone, (1,))
     sees = np.array([
         np.logical_not(blind[counts]).any(axis=0)
         for blind, counts in zip(view.blind, view.counted, strict=True)
     ])  # fmt: skip
-    sees |= np.logical_not(sees.any(axis=1, keepdims=True))
-    known = sees & np.logical_not(np.isnan(each))
+    believes = np.logical_not(np.isnan(each)) & view.runs.present.any(axis=1)
+    known = believes & (sees | np.logical_not((sees & believes).any(axis=1, keepdims=True)))
     pairs = zip(each, known, strict=True)
     return np.array([np.median(row[there]) if there.any() else np.nan for row, there in pairs])
 
@@ -196,6 +196,14 @@ FIGURES: dict[str, Figure] = {
     "sets_outside_centralised": Figure(
         _RUN, "1", "the same of one filter that hears everything",
         _sets("outside", (1,), central=True), is_swept=False,
+    ),
+    "set_half_width_centralised": Figure(
+        _RUN, "state", "half-width of the sets of one filter that hears everything",
+        _sets("half-width", (1,), central=True), is_swept=False,
+    ),
+    "set_largest_centralised": Figure(
+        _RUN, "1", "largest e' P^-1 e of these sets", _sets("largest", (1,), central=True),
+        is_swept=False,
     ),
     "set_largest": Figure(
         _RUN, "1", "largest e' P^-1 e of a set; 1 is its edge", _sets("largest", (1, 2))

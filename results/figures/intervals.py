@@ -79,6 +79,8 @@ def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -
     if not squares.any():
         return Interval(0.0, 0.0, 0.0)
     middle = _root_ratio(squares, others)
+    if not others.any():
+        return Interval(np.inf, np.nan, np.nan)
     influence = 0.5 * (squares / squares.mean() - others / others.mean())
     return on_log_scale(middle, len(influence), _std(influence), confidence)
 
@@ -160,7 +162,9 @@ def _both_known(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _root_ratio(squares: np.ndarray, others: np.ndarray) -> float:
-    return float(np.sqrt(squares.mean() / others.mean()))
+    # A reference without error makes the ratio infinite.
+    with np.errstate(divide="ignore"):
+        return float(np.sqrt(squares.mean() / others.mean()))
 
 
 def _root_ratio_along(squares: np.ndarray, others: np.ndarray, axis: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What figures of runs are computed from: errors, references and traffic, each computed once."""
+"""Errors, references and traffic of runs, each computed once, from which figures are made."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -153,10 +153,9 @@ class RunView:
         if not is_set_valued(setup.scenario):
             return None
         told = np.logical_not(np.isnan(runs.truth).any(axis=-1))
-        kept = np.logical_not(np.isnan(runs.mean).all(axis=-1))
         off = self.frame.mean - runs.truth
         return (
-            SetsBesideTruth(runs.nees, told[..., None] & kept, _roots(runs.cov_trace)),
+            SetsBesideTruth(runs.nees, told[..., None] & runs.present, _roots(runs.cov_trace)),
             SetsBesideTruth(
                 scored_nees(setup.scenario, off, self.frame.cov), told,
                 _roots(np.trace(self.frame.cov, axis1=-2, axis2=-1)),

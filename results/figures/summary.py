@@ -6,7 +6,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from concord.results.absences import Absence, absences_of
 from concord.results.bus import bus_report
 from concord.results.figures.figure_table import FIGURES, RATIOS
 from concord.results.figures.intervals import (
@@ -18,10 +17,11 @@ from concord.results.figures.intervals import (
 from concord.results.figures.run_frame import without_bound
 from concord.results.figures.run_view import RunView
 from concord.results.innovations.figures import InnovationFigures
+from concord.results.outages import Outage, outages_of
 from concord.results.records import record_spread
 from concord.results.records.extras import run_extras
 from concord.results.records.runs import RunCost, Runs
-from concord.results.verdict.findings import Level, Verdict, beyond
+from concord.results.verdict.findings import Verdict, VerdictLevel, beyond
 from concord.results.verdict.judge import anees_interval, judge
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.innovations import HearsAll, innovations_of_all
@@ -55,7 +55,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             intervals over runs; of one run, over steps, and NaN where that is not known.
         nodes: the same of each node, by names without "_node".
         noticed: counters of the nodes, but traffic; per run.
-        absences: which nodes were out, when, and whether that was asked for.
+        outages: which nodes were out, when, and whether that was asked for.
         warning: a run that decides the figures of all.
         innovations: None where estimates are sets, or sensors have no filter.
         details: of the bus, records, timing and more, where runs have them.
@@ -71,7 +71,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     figures: dict[str, Interval]
     nodes: list[dict[str, Interval]]
     noticed: dict[str, float]
-    absences: list[Absence]
+    outages: list[Outage]
     warning: str | None
     innovations: InnovationFigures | None
     details: dict[str, Any]
@@ -113,7 +113,7 @@ def summarise(runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = 
     else:
         belief = heard.belief
     view = RunView(runs, without_bound(belief))
-    judged = judge(view, heard and heard.innovations)
+    judged = judge(view, heard)
     values = {name: FIGURES[name].compute(view) for name in (*_OF_RUNS, *_OF_NODES)}
     figures = intervals_of(values, _OF_RUNS)
     if len(numbers) == 1:
@@ -135,7 +135,7 @@ def summarise(runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = 
             for node in range(setup.scenario.nodes)
         ],
         noticed=_noticed(runs),
-        absences=absences_of(runs),
+        outages=outages_of(runs),
         warning=decisive_run(values["rmse"], numbers[0]),
         innovations=judged.innovations,
         details=_details(view, cost),
@@ -165,7 +165,7 @@ def interval_of(name: str, values: Mapping[str, np.ndarray], method: str = "t") 
     return mean(values[name])
 
 
-def level_of(figures: Mapping[str, Interval]) -> Level:
+def level_of(figures: Mapping[str, Interval]) -> VerdictLevel:
     """Return FAILED where a run failed, CHECK where estimates are overconfident, else WORKS."""
     if figures["failed"].value > 0:
         return "FAILED"

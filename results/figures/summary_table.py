@@ -61,7 +61,7 @@ def _opening(figures: Summary, scenario: Scenario, driver: str) -> list[str]:
     lines.append(f"  bus      {_bus(figures, scenario)}")
     lines += [f"  also     {one.in_words()}" for one in figures.verdict.findings[1:]
               if one.level != "WORKS"]  # fmt: skip
-    return lines + [f"  members  {one.in_words()}" for one in figures.absences]
+    return lines + [f"  members  {one.in_words()}" for one in figures.outages]
 
 
 def _works(figures: Summary, scenario: Scenario, driver: str) -> str:

@@ -27,7 +27,7 @@ class RefusedAtNode(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """What gates refused at each node that has one."""
+    """Refusals at each node that has a gate."""
 
     nodes: tuple[RefusedAtNode, ...]
 
@@ -49,8 +49,10 @@ def mean_behind_gate(entries: np.ndarray, gates: np.ndarray) -> np.ndarray:
 
 
 def accepted(setup: Setup, innovations: Innovations) -> Innovations:
-    """The innovations (..., N, r, m) that passed the gates of the sensors, as if there were none:
-    their covariance is that of the law cut at the gate, so that NIS is 1 if all is right."""
+    """The innovations (..., N, r, m) that passed the gates of the sensors, as if there were none.
+
+    Their covariance is that of the law cut at the gate, so that NIS is 1 if all is right.
+    """
     gates = gates_of(setup)
     if np.isinf(gates).all():
         return innovations
@@ -65,7 +67,7 @@ def accepted(setup: Setup, innovations: Innovations) -> Innovations:
 
 
 def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray) -> Refused:
-    """What gates refuse of own innovations (R, S, N, r, m) in the steps that count (R, S)."""
+    """Refusals among own innovations (R, S, N, r, m) in the steps that count (R, S)."""
     from scipy.special import bdtrc, chdtrc
 
     gates, found = gates_of(setup), []

@@ -1,6 +1,4 @@
-"""Innovations as variables of run.nc, and in tables."""
-
-from typing import Any
+"""Innovations in tables."""
 
 import numpy as np
 from rich import box
@@ -8,17 +6,6 @@ from rich.table import Table
 from rich.text import Text
 
 from concord.results.innovations.figures import ChannelFigures, InnovationFigures, NisFigures
-from concord.scenarios.innovations import Innovations
-
-
-def variables_of(innovations: Innovations, prefix: str, before: tuple[str, ...]) -> dict[str, Any]:
-    """Innovations as variables of run.nc, with the axes `before` that of the nodes."""
-    axes = (*before, "node", "reading")
-    return {
-        f"{prefix}innovation": ((*axes, "entry"), innovations.value),
-        f"{prefix}innovation_cov": ((*axes, "entry", "other_entry"), innovations.cov),
-        f"{prefix}nis": (axes, innovations.nis),
-    }
 
 
 def nis_columns(figures: NisFigures) -> tuple[str, str, str]:

@@ -94,6 +94,16 @@ class Runs(NamedTuple):
         """Number of steps."""
         return self.truth.shape[1]
 
+    @property
+    def present(self) -> np.ndarray:
+        """Which nodes took part and believe anything at all (R, S, N)."""
+        believes = np.logical_not(np.asarray(np.isnan(self.mean).all(axis=-1)))
+        if self.history is None:
+            return believes
+        steps, nodes = self.mean.shape[1:3]
+        is_in = [[self.history.is_in(i, k) for i in range(nodes)] for k in range(steps)]
+        return np.array(is_in)[None] & believes.any(axis=1, keepdims=True)
+
     def of(self, place: slice) -> "Runs":
         """Return those of some of the runs."""
         whole = self._asdict()

@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from concord.results.bus.bus_report import times_of
-from concord.results.innovations.figures import outside_model
+from concord.results.bus.bus_times import times_of
 from concord.results.records.extras import run_extras
 from concord.results.records.netcdf_file import read_dataset, state_coordinates
-from concord.results.records.record_spread import record_ages
 from concord.results.records.runs import RunCost, Runs
 from concord.results.records.trace import Past
 from concord.scenarios.catalogue import definition_of
@@ -88,6 +86,9 @@ def runs_dataset(
         for name, counts in runs.counters.items()
     }
     if heard is not None:
+        # Only here: runs as arrays have none.
+        from concord.results.innovations.figures import outside_model
+
         outside = outside_model(setup, heard.belief, np.ones(runs.truth.shape[:2], dtype=bool))
         if outside.shares is not None:
             variables["outside_model"] = (_STEP, outside.steps.astype(np.int8))
@@ -118,6 +119,9 @@ def _of_one_run(runs: Runs) -> dict[str, Any]:
     if len(runs.runs) > 1:
         return found
     if runs.spreads:
+        # Only here: other rules have no records.
+        from concord.results.records.record_spread import record_ages
+
         ages = record_ages(runs.spreads[0]).swapaxes(0, 1)[None]
         found["record_age"] = ((*_NODE, "source"), ages, {"units": "steps"})
     if (times := times_of(runs)) is not None:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from concord.results.absences import absences_of
 from concord.results.figures.run_view import RunView
 from concord.results.innovations.gates import Refused
+from concord.results.outages import outages_of
 from concord.results.verdict.findings import Finding
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.types.rules import UserRule
@@ -140,7 +140,7 @@ def _gates(refused: Refused) -> Iterator[Finding]:
 
 
 def _members(view: RunView) -> Iterator[Finding]:
-    for one in absences_of(view.runs):
+    for one in outages_of(view.runs):
         if not one.is_asked:
             until = "to the end" if one.end_step is None else f"to step {one.end_step}"
             yield Finding(

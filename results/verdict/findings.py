@@ -7,14 +7,14 @@ import msgspec
 
 from concord.results.figures.intervals import Interval
 
-Level = Literal["FAILED", "CHECK", "WORKS"]
-LEVELS: tuple[Level, ...] = ("FAILED", "CHECK", "WORKS")
+VerdictLevel = Literal["FAILED", "CHECK", "WORKS"]
+LEVELS: tuple[VerdictLevel, ...] = ("FAILED", "CHECK", "WORKS")
 MARGIN = 1.1
 """Least ratio of ANEES to 1, or of 1 to it, that is called over- or underconfident."""
 
 
 class Finding(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found in runs.
+    """One finding on runs.
 
     Attributes:
         level: FAILED makes every figure meaningless or the network useless; CHECK casts doubt;
@@ -26,7 +26,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         first_step, count: since which step, and how often, where that is told.
     """
 
-    level: Level
+    level: VerdictLevel
     cause: str
     said: str
     cure: str = ""
@@ -43,7 +43,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 class Verdict(msgspec.Struct, frozen=True):
     """The level, cause and sentence of the first finding, and all findings, the gravest first."""
 
-    level: Level
+    level: VerdictLevel
     cause: str
     said: str
     findings: list[Finding]

@@ -5,7 +5,7 @@ import numpy as np
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import LEAST_UPDATES, ChannelTest
 from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
-from concord.results.verdict.findings import MARGIN, Finding, Level, beyond
+from concord.results.verdict.findings import MARGIN, Finding, VerdictLevel, beyond
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.types.filters import UnscentedFilter
@@ -88,7 +88,7 @@ def honesty(
     return Finding(level=_LEVELS[lead], cause=lead, said=f"{lead}: {said}", cure=cure)
 
 
-_LEVELS: dict[str, Level] = {
+_LEVELS: dict[str, VerdictLevel] = {
     "overconfident": "CHECK", "biased": "CHECK", "underconfident": "CHECK", "coloured": "CHECK",
     "undecided": "CHECK", "too short": "CHECK", "consistent": "WORKS", "cautious": "WORKS",
 }  # fmt: skip

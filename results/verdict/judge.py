@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from math import ceil
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
-from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import mean_of_known
 from concord.results.figures.intervals import (
     BATCHES,
@@ -26,7 +26,7 @@ from concord.results.innovations.figures import (
 )
 from concord.results.innovations.gates import accepted, refused_by_gates
 from concord.results.verdict.failures import failures
-from concord.results.verdict.findings import Finding, Verdict, beyond, verdict_of
+from concord.results.verdict.findings import MARGIN, Finding, Verdict, beyond, verdict_of
 from concord.results.verdict.honesty import (
     ESTIMATES_CONFIDENCE,
     honesty,
@@ -34,7 +34,9 @@ from concord.results.verdict.honesty import (
     times_claimed,
 )
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.innovations import Innovations
+from concord.scenarios.innovations import HearsAll, Innovations
+from concord.scenarios.scenario_definition import Explanation
+from concord.scenarios.setup import Setup
 
 _TAIL = 0.999
 _HEAVY = 10.0
@@ -49,44 +51,58 @@ class Judged(NamedTuple):
     innovations: InnovationFigures | None
 
 
-def judge(view: RunView, heard: Innovations | None) -> Judged:
-    """Judge runs; `heard` are the innovations (R, S, N, r, m) of the filter that hears everything,
-    None where the runs have none of their own."""
-    own, counted = view.runs.innovations, view.counted
+def judge(view: RunView, heard: HearsAll | None) -> Judged:
+    """Judge runs; `heard` is the filter that hears everything with its innovations, None where the
+    runs have none of their own."""
+    own = view.runs.innovations
     if own is None or heard is None:
         found = [*failures(view, None), *_recorded(view)]
         return Judged(verdict_of([*found, *_without_innovations(view)]), None)
-    belief = Gaussian(view.frame.mean, view.frame.cov)
-    outside = outside_model(view.setup, belief, counted)
-    counted = counted & ~outside.steps
-    mine, best = (
-        Innovations(*(where_counted(counted, part) for part in accepted(view.setup, one)))
-        for one in (own, heard)
+    inside = view.counted & ~outside_model(view.setup, heard.belief, view.counted).steps
+    findings = [*failures(view, refused_by_gates(view.setup, own, inside)), *_recorded(view)]
+    has_failed = any(one.level == "FAILED" for one in findings)
+    nees = where_counted(view.counted, mean_of_known(view.errors.nees, (2,)))
+    figures, honest = judged_innovations(
+        view.setup, own, heard, view.counted, nees, _enough(view), explain=not has_failed
     )
-    figures, diagnosis = innovation_figures(view.setup, mine, best, outside.shares)
-    refused = refused_by_gates(view.setup, own, counted)
-    findings = [*failures(view, refused), *_recorded(view)]
-    if not any(one.level == "FAILED" for one in findings):
-        # What the plant's own data tell takes seconds, and nothing of a run that failed.
-        explained = definition_of(view.setup.scenario).explain(view.setup, belief, counted)
-        nis = _interval_of(nis_per_step(mine), ESTIMATES_CONFIDENCE)
-        anees = anees_interval(view, ESTIMATES_CONFIDENCE)
-        one = honesty(view.setup.scenario, diagnosis, nis, anees, explained, _enough(view))
-        findings += [*_tails(view), *_too_few(view, one)]
+    if not has_failed:
         # The tails say more than a mean which a few runs decide.
-        findings.append(with_words(one, outside_in_words(outside.shares)))
+        findings += [*_tails(view), honest]
     return Judged(verdict_of(findings), figures)
 
 
-def with_words(finding: Finding, more: str) -> Finding:
-    """Return the finding with more words at the end of its sentence."""
-    return finding if not more else _said(finding, finding.said + more)
+def judged_innovations(
+    setup: Setup,
+    own: Innovations,
+    heard: HearsAll,
+    counted: np.ndarray,
+    nees: np.ndarray,
+    enough: str = "more --steps",
+    explain: bool = True,
+) -> tuple[InnovationFigures, Finding]:
+    """Return the figures of innovations (R, S, N, r, m), and the finding on honesty.
 
-
-def _said(finding: Finding, said: str) -> Finding:
-    from msgspec.structs import replace
-
-    return replace(finding, said=said)
+    Args:
+        setup: of the runs.
+        own, heard: of the nodes' own readings, and of the filter that hears everything.
+        counted: (R, S), the steps that count. Those for which the model does not hold do not.
+        nees: (R, S), mean of the nodes' normalised errors squared per state; NaN for unknown.
+        enough: the options of a run that is long enough to judge.
+        explain: whether to ask the plant's own data, which takes seconds.
+    """
+    outside = outside_model(setup, heard.belief, counted)
+    counted = counted & ~outside.steps
+    mine, best = (
+        Innovations(*(where_counted(counted, part) for part in accepted(setup, one)))
+        for one in (own, heard.innovations)
+    )
+    figures, diagnosis = innovation_figures(setup, mine, best, outside.shares)
+    nis, anees = (_interval_of(one, ESTIMATES_CONFIDENCE) for one in (nis_per_step(mine), nees))
+    told = definition_of(setup.scenario).explain if explain else lambda *_: Explanation()
+    explained = told(setup, heard.belief, counted)
+    found = honesty(setup.scenario, diagnosis, nis, anees, explained, enough)
+    said = found.said + outside_in_words(outside.shares)
+    return figures, msgspec.structs.replace(found, said=said)
 
 
 def anees_interval(view: RunView, confidence: float = 0.95) -> Interval:
@@ -115,7 +131,9 @@ def _recorded(view: RunView) -> Iterator[Finding]:
 
 
 def _enough(view: RunView) -> str:
-    """The options of a run that is long enough to judge."""
+    """The options of runs that are long enough, or so many that they can be judged."""
+    if len(view.readings) > 1:
+        return f"--runs {max(5, 4 * len(view.readings))}"
     counted = int(view.counted.sum(axis=1).max())
     first = view.runs.steps - counted
     taken = np.isfinite(view.readings).any(axis=(3, 4))
@@ -137,7 +155,7 @@ def _tails(view: RunView) -> Iterator[Finding]:
     far = float(np.nanmean(share))
     some = int((share > _HEAVY * (1 - _TAIL)).sum())
     mean = anees_interval(view)
-    if middle <= 1.1 and some and far > _HEAVY * (1 - _TAIL) and mean.value > 1.1:
+    if middle <= MARGIN and some and far > _HEAVY * (1 - _TAIL) and mean.value > MARGIN:
         yield Finding(
             level="CHECK",
             cause="heavy tails",
@@ -148,13 +166,6 @@ def _tails(view: RunView) -> Iterator[Finding]:
             cure=f"look at run {int(view.runs.runs[int(share.argmax())])} with --run",
             count=some,
         )
-
-
-def _too_few(view: RunView, honest: Finding) -> Iterator[Finding]:
-    """Of many runs, that they are too few, in place of that steps are."""
-    if honest.cause == "too short" and len(view.readings) > 1:
-        runs = max(5, 4 * len(view.readings))
-        yield Finding(level="CHECK", cause="too short", said=honest.said, cure=f"use --runs {runs}")
 
 
 def _without_innovations(view: RunView) -> Iterator[Finding]:
@@ -172,7 +183,7 @@ def _without_innovations(view: RunView) -> Iterator[Finding]:
     if beyond(anees) == "overconfident":
         said = f"overconfident: ANEES is {anees.value:.3g} where 1 is right"
         yield Finding(level="CHECK", cause="overconfident", said=said)
-    elif anees.value < 1 / 1.1:
+    elif anees.value < 1 / MARGIN:
         said = f"cautious: nodes claim {times_claimed(anees.value)}"
         yield Finding(level="WORKS", cause="cautious", said=said)
     else:

@@ -10,7 +10,7 @@ from concord.results.figures.figure_table import FIGURES
 from concord.results.figures.intervals import Interval, ratio_t
 from concord.results.figures.summary import intervals_of, level_of
 from concord.results.folder import provenance
-from concord.results.verdict.findings import Level
+from concord.results.verdict.findings import VerdictLevel
 from concord.scenarios.catalogue import definition_named
 from concord.studies.compare.entries import ComparedEntry
 from concord.studies.compare.run import TAKEN, Figures
@@ -30,7 +30,7 @@ class RuleFigures(msgspec.Struct, frozen=True):
     """
 
     rule: str
-    level: Level
+    level: VerdictLevel
     to_centralised: Interval
     anees: Interval
     bytes_per_step: Interval

@@ -11,7 +11,7 @@ from rich.table import Table
 from concord.results.figures.figure_table import FIGURES, SWEPT
 from concord.results.figures.intervals import Interval
 from concord.results.figures.summary import level_of
-from concord.results.verdict.findings import Level
+from concord.results.verdict.findings import VerdictLevel
 from concord.scenarios.catalogue import definition_named
 from concord.studies.monte_carlo.moments import PAIRS
 from concord.studies.sweep.cell_data import CellData
@@ -35,7 +35,7 @@ class CellFigures(msgspec.Struct, frozen=True):
     """
 
     cell: dict[str, str | float | int | bool | None]
-    level: Level
+    level: VerdictLevel
     figures: dict[str, Interval]
 
     def __getitem__(self, name: str) -> Interval:

@@ -13,10 +13,10 @@ from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.network import NetworkStatus
 from concord.nodes.messages import Estimate, decode
-from concord.results.figures.summary import summarise
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
+from tests.experiments.support import summary_of
 
 RUN = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
 
@@ -57,14 +57,14 @@ def test_who_published_in_which_cycle_is_that_of_the_trace():
 
 
 def test_scores_are_the_figures_of_the_run():
-    figures = summarise(RUN.stage.setup, trace())
+    figures = summary_of(RUN.stage.setup, trace())
     scored = RUN.frames[figures.first_step :]
     rmse = np.sqrt(np.mean([frame.scores.error**2 for frame in scored]))
     central = np.sqrt(np.mean([frame.scores.central**2 for frame in scored]))
     nees = np.mean([frame.scores.nees for frame in scored]) / len(RUN.stage.score.nees_states)
-    assert rmse == pytest.approx(figures.rmse)
-    assert central == pytest.approx(figures.rmse_centralised)
-    assert nees == pytest.approx(figures.anees)
+    assert rmse == pytest.approx(figures.value("rmse"))
+    assert central == pytest.approx(figures.value("rmse_centralised"))
+    assert nees == pytest.approx(figures.value("anees"))
 
 
 def test_nothing_is_lost_in_a_run_that_loses_nothing():

@@ -10,7 +10,7 @@ from concord.dashboard.frames.innovations import StepNis
 from concord.dashboard.panels.chart import Sample
 from concord.dashboard.panels.nis_chart import nis_chart
 from concord.dashboard.view import View
-from concord.results.innovations.of_run import run_innovations
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import read_trace
 from concord.runtime.whole_steps import WholeSteps
 from tests.dashboard.runs import run_of
@@ -27,9 +27,9 @@ from tests.dashboard.runs import run_of
 )
 def test_frames_have_the_nis_of_the_run(name: str, options: dict):
     run = run_of(name, **options)
-    found = run_innovations(run.stage.setup, read_trace(run.stage.setup, run.messages))
+    found = runs_of_trace(run.stage.setup, read_trace(run.stage.setup, run.messages)).innovations
     assert found is not None
-    nis, entries = found.own.nis[0], found.own.entries[0]
+    nis, entries = found.nis[0], found.entries[0]
     for frame in run.frames:
         told = frame.scores.nis
         assert told is not None

@@ -5,7 +5,8 @@ import numpy as np
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import ChannelTest
 from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
-from concord.results.innovations.sentence import innovation_verdict
+from concord.results.verdict.findings import Finding
+from concord.results.verdict.honesty import honesty
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation
 from tests.experiments.support import scenario
@@ -34,13 +35,12 @@ def verdict(
     diagnosis: Diagnosis,
     nis: Interval,
     anees: Interval,
-    suspicion: Interval,
     explained: Explanation = Explanation(),  # noqa: B008  a tuple, which nothing changes
-) -> str:
-    """The verdict, by default of a plant that tells nothing more."""
-    return innovation_verdict(of, diagnosis, nis, anees, suspicion, explained)
+) -> Finding:
+    """The finding on honesty, by default of a plant that tells nothing more."""
+    return honesty(of, diagnosis, nis, anees, explained, "--steps 99")
 
 
 def said(cause: Cause, others: int = 0, name: str = "oscillator", **options) -> str:
     diagnosis = Diagnosis(cause, YAW, OFF, others)
-    return verdict(scenario(name, **options), diagnosis, FITTING, FITTING, FITTING)
+    return verdict(scenario(name, **options), diagnosis, FITTING, FITTING).said

@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
-from concord.results.folder import describe, write_arrays
+from concord.nodes.tempo import Tempo
+from concord.results.figures.summary import Summary, heard_by_all, summarise
+from concord.results.folder import describe, write_whole
+from concord.results.records.runs import runs_of_trace
+from concord.results.records.runs_file import runs_dataset
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_this_process
 from concord.runtime.recording import read_recording
@@ -23,6 +27,19 @@ def small(name: str = "oscillator", **changes) -> Setup:
     return prepare(scenario(name, **{"nodes": 4, "steps": 12, **changes}))
 
 
+def summary_of(setup: Setup, trace: Trace) -> Summary:
+    """The figures of one run."""
+    return summarise(runs_of_trace(setup, trace))
+
+
+def write_arrays(folder: Path, setup: Setup, trace: Trace, tempo: Tempo | None = None) -> None:
+    """Write run.nc of one run of processes, in real time with a tempo."""
+    runs = runs_of_trace(setup, trace)
+    dataset = runs_dataset(runs, heard=heard_by_all(runs))
+    driver = "processes" if tempo is None else "realtime"
+    write_whole(folder, dataset, describe("test", driver, setup, tempo))
+
+
 def trace_of(setup: Setup, recording: Path) -> Trace:
     """The arrays of a recording."""
     return read_trace(setup, read_recording(recording))
@@ -38,6 +55,6 @@ def reference(setup: Setup, folder: Path) -> Trace:
 def broken_promises(setup: Setup, folder: Path) -> list[str]:
     """Write the arrays of the recording in a folder; return the promises that its audit finds
     broken, with the first case of each."""
-    write_arrays(folder, describe("test", "processes", setup), trace_of(setup, folder / "run.mcap"))
+    write_arrays(folder, setup, trace_of(setup, folder / "run.mcap"))
     found = audit(folder).findings
     return [f"{one.says}: {account.first}" for one, account in found if account.broken]

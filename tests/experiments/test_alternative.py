@@ -1,59 +1,53 @@
-"""The alternative under a verdict: the figures that its own command prints, or nothing."""
+"""The alternative beside a run: it is better, and its command gives what the line says."""
 
-import re
+import json
+import shlex
 from typing import Any
 
-import msgspec
 import pytest
 
-from concord.results.figures.summary import Figures, summarise
-from concord.results.figures.summary_table import labelled_in_words, opening
-from concord.results.records.trace import Trace, read_trace
+from concord.results.figures.summary import Summary, summarise
+from concord.results.records.runs import Runs, runs_of_trace
+from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
-from concord.scenarios.setup import Setup
 from concord.studies.alternative import labelled_beside
+from tests.experiments.command_support import concord
 
 pytestmark = pytest.mark.slow
 
 SMALL: dict[str, Any] = {"nodes": 5, "steps": 45, "graph": "ring", "seed": 3}
 
 
-def traced(name: str = "target-tracking", **options: Any) -> tuple[Setup, Trace]:
+def traced(name: str = "target-tracking", **options: Any) -> tuple[Runs, Summary]:
     setup = prepare(definition_named(name).defaults.with_(**{**SMALL, **options}))
-    return setup, read_trace(setup, in_memory(setup))
-
-
-def figures(setup: Setup, trace: Trace) -> Figures:
-    found = summarise(setup, trace)
-    return msgspec.structs.replace(found, labelled=labelled_beside(setup, trace, found.first_step))
+    runs = runs_of_trace(setup, read_trace(setup, in_memory(setup)))
+    return runs, summarise(runs)
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    "options",
     [
-        ({}, "--rule labelled --schedule dynamic --occupancy 0.25"),
-        ({"schedule": "dynamic", "occupancy": 0.4}, "--rule labelled"),
-        ({"rule": "hcmci"}, "--rule labelled --schedule dynamic --occupancy 0.25"),
-        ({"number": "float16", "schedule": "dynamic", "occupancy": 0.4},
-         "--rule labelled (without the options of ci)"),
+        {},
+        {"schedule": "dynamic", "occupancy": 0.4},
+        {"rule": "icf"},
+        {"number": "float16", "schedule": "dynamic", "occupancy": 0.4},
+        {"bus": "ideal"},
     ],
-)  # fmt: skip
-def test_it_is_what_its_own_command_gives(options: dict[str, Any], says: str):
-    """Run message by message, as `concord run` does, with the options that the line names."""
-    found = figures(*traced(**options))
-    assert found.labelled is not None and found.labelled.options == says
-    flags = dict(re.findall(r"--(\w+) ([\w.]+)", says))
-    kept = {name: options[name] for name in ("schedule", "occupancy") if name in options}
-    own = summarise(*traced(**{**kept, **flags, "occupancy": kept.get("occupancy", 0.25)}))
-    assert found.labelled.rmse == pytest.approx(own.rmse, rel=1e-9)
-    assert own.bus is not None and found.bus is not None
-    assert found.labelled.bytes_per_step == own.bus.bytes_per_step
-    assert own.rmse_centralised == found.rmse_centralised
-    line = opening(found)[1]
-    assert f"would give {own.rmse / own.rmse_centralised:.3g} x at " in line
-    assert line.startswith(f"on the bus: {found.bus.bytes_per_step:.0f} bytes a step; ")
+)
+def test_its_command_gives_what_the_line_says(options: dict[str, Any], tmp_path, capsys):
+    runs, own = traced(**options)
+    found = labelled_beside(runs, own)
+    assert found is not None and found.to_centralised < own.value("to_centralised")
+    words = shlex.split(found.command)[1:]
+    said = json.loads(concord(capsys, *words, "--json", "--out", tmp_path / "run").out)
+    assert said["to_centralised"][0] == pytest.approx(found.to_centralised, rel=1e-9)
+    assert said["rmse_centralised"][0] == pytest.approx(own.value("rmse_centralised"), rel=1e-9)
+    if options.get("bus") == "ideal":
+        assert found.bytes_per_step is None
+    else:
+        assert said["bytes_per_step"][0] == found.bytes_per_step
 
 
 @pytest.mark.parametrize(
@@ -68,15 +62,11 @@ def test_it_is_what_its_own_command_gives(options: dict[str, Any], says: str):
     ],
 )
 def test_nothing_is_said_where_it_could_not_be_compared(name: str, options: dict[str, Any]):
-    setup, trace = traced(name, **options)
-    found = summarise(setup, trace)
-    assert labelled_beside(setup, trace, found.first_step) is None
-    assert len(opening(found)) == 1
+    assert labelled_beside(*traced(name, **options)) is None
 
 
-def test_a_bus_without_time_has_no_bytes():
-    found = figures(*traced(bus="ideal"))
-    assert found.labelled is not None and found.labelled.bytes_per_step is None
-    assert labelled_in_words(found.labelled, found.labelled.rmse, None).startswith(
-        "labelled measurements would give 1 x: --rule labelled"
-    )
+def test_nothing_is_said_where_the_rule_is_as_good():
+    """All nodes that hear all of each other have what `labelled` would give them."""
+    runs, own = traced("oscillator", steps=60, graph="complete", rule="hcmci")
+    found = labelled_beside(runs, own)
+    assert found is None or found.to_centralised < own.value("to_centralised")

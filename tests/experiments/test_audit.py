@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from concord.experiments.cli.command_line import main
 from concord.nodes.messages import Timing, encode
-from concord.results.folder import describe, write_arrays
 from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
@@ -23,7 +22,7 @@ from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.studies.audit.member_history import member_history_of
 from concord.studies.audit.promises import PROMISES
 from concord.studies.audit.report import _around, audit
-from tests.experiments.support import scenario, small
+from tests.experiments.support import scenario, small, write_arrays
 
 pytestmark = pytest.mark.slow
 
@@ -35,8 +34,7 @@ MESSAGES: Messages = list(in_memory(SETUP))
 
 def write(folder: Path, recorded: Messages, shown: Messages = MESSAGES) -> Path:
     """A folder with this recording, and the arrays of another."""
-    description = describe("test", "in-process", SETUP)
-    write_arrays(folder, description, read_trace(SETUP, shown))
+    write_arrays(folder, SETUP, read_trace(SETUP, shown))
     recorder = McapRecorder(
         folder / RECORDING, SETUP.scenario.rounds, SETUP.time_step_s, frame_format(SETUP.scenario)
     )

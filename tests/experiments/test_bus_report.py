@@ -15,15 +15,10 @@ from concord.bus.flexray.slot_table import allocate
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
 from concord.features.flexray_tools.commands.rehearsal import rehearse
-from concord.results.bus.bus_report import (
-    bus_figures,
-    bus_times,
-    figures_of,
-    lines,
-    longest_waits,
-    timetable,
-)
+from concord.results.bus.bus_report import bus_figures, figures_of, lines, longest_waits
+from concord.results.bus.bus_times import bus_times, timetable
 from concord.results.bus.sent_shares import SentShares
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -282,7 +277,7 @@ def test_ages_are_cycles_since_the_sender_last_had_the_bus(options: dict):
             for j in neighbours:
                 past = np.flatnonzero(sent[: now + 1, j])
                 assert trace.ages[step, node, j] == (now - past[-1] if len(past) else -1)
-    figures = figures_of(setup, trace)
+    figures = figures_of(runs_of_trace(setup, trace))
     assert figures is not None
     pairs = trace.steps * sum(map(len, setup.neighbours))
     assert sum(figures.share_ages) + figures.never_heard == pairs

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from concord.experiments.cli import doctor
-from concord.experiments.cli.doctor import Finding, Verdict
+from concord.experiments.cli.doctor import Looked, Verdict
 from concord.runtime.network.zenoh_transport import LinkError
 from concord.studies.memory import available_memory_mb
 from tests.experiments.command_support import concord, refused
@@ -127,7 +127,10 @@ def test_the_exit_code_tells(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
+    found = [
+        Looked("this", OK, "fine"),
+        Looked("that", verdict, "[seen]", "do something"),
+    ]
     monkeypatch.setattr(doctor, "look", lambda nodes: iter(found))
     told = concord(capsys, "doctor", *(["--json"] if as_json else []))
     assert told.code == code

@@ -8,11 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.experiments.python_api import simulate
+from concord.results.figures.summary import LEAST_RUNS, decisive_run
 from concord.scenarios.scenario_options import scenario_of
 from concord.studies.few_samples import (
-    LEAST_RUNS,
     LEAST_STEPS,
-    decisive_run,
     few_runs,
     few_steps,
 )

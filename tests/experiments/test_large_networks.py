@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from concord.results.records.histories import Histories
+from concord.results.records.runs import Runs
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.studies.monte_carlo import simulate as batched
@@ -33,7 +33,7 @@ def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
     """Bytes of the histories of so many runs, and the most that was taken to make them."""
     setup = prepare(scenario_of("oscillator", nodes=4, steps=30, bus="ideal"))
     tracemalloc.start()
-    histories: Histories = simulate(setup, range(runs), keep=keep)
+    histories: Runs = simulate(setup, range(runs), keep=keep)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     arrays = [*histories, *histories.counters.values()]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from concord.experiments.python_api import simulate as simulate_in_python
-from concord.results.records.histories import Histories
+from concord.results.records.runs import Runs
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
@@ -109,5 +109,5 @@ def test_the_estimate_holds_the_histories_and_little_more(rule: str):
     assert kept < needed_bytes(scenario, 3) < 8 * kept
 
 
-def _arrays(histories: Histories) -> list[np.ndarray]:
+def _arrays(histories: Runs) -> list[np.ndarray]:
     return [value for value in histories if isinstance(value, np.ndarray)]

@@ -84,7 +84,7 @@ def test_quantiles_are_within_their_bins():
 
 def test_pairs_keep_what_their_runs_share():
     whole = figures(RUNS)
-    found = statistics_of(piece(whole, np.arange(RUNS)), SHAPES)["rmse_to_centralised"]
+    found = statistics_of(piece(whole, np.arange(RUNS)), SHAPES)["to_centralised"]
     pair = dict(zip(PAIR_STATISTICS, found, strict=True))
     squares, others = (np.square(whole[name]) for name in ("rmse", "rmse_centralised"))
     interval = ratio_t(squares, others)
@@ -103,7 +103,7 @@ def test_an_infinite_error_stays_infinite():
     whole = {"rmse": np.array([1.0, np.inf, 2.0]), "rmse_centralised": np.ones(3)}
     found = statistics_of(reduced(whole, tuple(whole)), dict.fromkeys(whole, ()))
     assert found["rmse"][:2].tolist() == [3.0, np.inf] and found["rmse"][6] == np.inf
-    assert found["rmse_to_centralised"][0] == 2
+    assert found["to_centralised"][0] == 2
 
 
 def test_unknown_figures_have_no_statistics():

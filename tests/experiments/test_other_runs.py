@@ -14,8 +14,9 @@ from concord.dashboard.frames.source import assembled
 from concord.dashboard.frames.stage import set_stage
 from concord.experiments import other_runs
 from concord.experiments.other_runs import OtherRuns, Question, expected, told_by
-from concord.results.figures.run_figures import figures_of
+from concord.results.figures.figure_table import computed
 from concord.results.figures.run_frame import frame_of
+from concord.results.figures.run_view import RunView
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare, setup_of_run
@@ -42,7 +43,7 @@ def test_band_and_bound_are_those_of_the_runs():
     np.testing.assert_allclose(np.array(told.nees_high, float), high, rtol=1e-8)
     numbers = range(1000, 1000 + runs)
     histories = simulate(SETUP, numbers)
-    figures = figures_of(SETUP, histories, frame_of(SETUP, numbers, histories))
+    figures = computed(RunView(histories, frame_of(histories)))
     np.testing.assert_allclose(np.array(told.bound, float), figures["bound"])
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from concord.results.figures.figure_table import FIGURES
-from concord.results.figures.run_figures import energy_per_bit_nj, figures_of
+from concord.results.figures.figure_table import FIGURES, SWEPT, computed
 from concord.results.figures.run_frame import frame_of
+from concord.results.figures.run_view import RunView
 from concord.results.figures.summary import summarise
+from concord.results.figures.traffic import energy_per_bit_nj
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare, setup_of_run
@@ -14,6 +15,7 @@ from concord.scenarios.scenario_options import scenario_of
 from concord.studies.monte_carlo.convergence import settling_interval, settling_steps
 from concord.studies.monte_carlo.pareto import front
 from concord.studies.monte_carlo.simulate import simulate
+from tests.experiments.support import summary_of
 
 CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")
 CASES = [
@@ -27,34 +29,37 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "fields"), CASES)
-def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
+def test_a_run_many_runs_and_a_sweep_have_equal_figures_under_equal_names(name: str, fields: dict):
     setup = prepare(scenario_of(name, **fields))
     runs = range(3, 5)
     histories = simulate(setup, runs)
-    many = figures_of(setup, histories, frame_of(setup, runs, histories))
-    assert set(many) == set(FIGURES)
+    swept = computed(RunView(histories, frame_of(histories)))
+    assert set(swept) == set(SWEPT)
     for place, run in enumerate(runs):
         one = setup_of_run(setup, run)
-        single = summarise(one, read_trace(one, in_memory(one)))
-        expected = {
-            "rmse": single.rmse,
-            "rmse_centralised": single.rmse_centralised,
-            "rmse_worst_node": single.worst_node_to_centralised * single.rmse_centralised,
-            "anees": single.anees,
-            "anees_centralised": single.anees_centralised,
-            "disagreement": single.disagreement,
-        }
-        if single.bus is not None:
-            ages = np.array(single.bus.share_ages)
-            expected |= {
-                "bus_load": single.bus.bus_load,
-                "delay_us": single.bus.delay_us,
-                "share_age": (ages * np.arange(len(ages))).sum() / ages.sum(),
-                "share_age_max": len(ages) - 1,
-            }
-        for figure, value in expected.items():
-            assert many[figure][place] == pytest.approx(value, rel=1e-9, nan_ok=True), figure
-        np.testing.assert_allclose(many["rmse_node"][place], [n.rmse for n in single.nodes])
+        single = summary_of(one, read_trace(one, in_memory(one)))
+        of_many = summarise(histories.of(slice(place, place + 1)))
+        assert single.figures.keys() == of_many.figures.keys()
+        for figure, interval in single.figures.items():
+            value = pytest.approx(interval.value, rel=1e-9, abs=1e-12, nan_ok=True)
+            assert of_many.value(figure) == value, figure
+            if figure in swept:
+                assert swept[figure][place] == value, figure
+        of_nodes = [node["rmse"].value for node in single.nodes]
+        np.testing.assert_allclose(swept["rmse_node"][place], of_nodes)
+
+
+def test_the_figures_of_the_bus_are_those_of_its_report():
+    """Computed by counting the frames cycle by cycle."""
+    setup = prepare(scenario_of("target-tracking", nodes=8, steps=25, occupancy=0.5))
+    found = summary_of(setup, read_trace(setup, in_memory(setup)))
+    bus, ages = found.details["bus"], np.array(found.details["bus"].share_ages)
+    expected = {
+        **{name: getattr(bus, name) for name in ("bus_load", "delay_us", "bytes_per_step")},
+        "share_age": (ages * np.arange(len(ages))).sum() / ages.sum(),
+        "share_age_max": len(ages) - 1,
+    }
+    assert {name: found.value(name) for name in expected} == pytest.approx(expected)
 
 
 def test_who_publishes_is_counted_in_the_cycles_that_there_were():
@@ -62,7 +67,7 @@ def test_who_publishes_is_counted_in_the_cycles_that_there_were():
     changes = ("5 kill 0", "5 set rounds=1")
     setup = prepare(scenario_of("oscillator", nodes=5, steps=10, changes=changes))
     histories = simulate(setup, range(2))
-    figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
+    figures = computed(RunView(histories, frame_of(histories)))
     assert figures["published"].tolist() == pytest.approx([(5 * 15 + 4 * 5) / (5 * 20)] * 2)
     assert np.isnan(figures["bus_load"]).all()
 
@@ -71,7 +76,7 @@ def test_shapes_are_those_that_are_promised():
     setup = prepare(scenario_of("oscillator", nodes=3, steps=22))
     histories = simulate(setup, range(2))
     sizes = {"run": 2, "step": 22, "node": 3, "state": 2}
-    for name, values in figures_of(setup, histories, frame_of(setup, range(2), histories)).items():
+    for name, values in computed(RunView(histories, frame_of(histories))).items():
         assert values.shape == tuple(sizes[d] for d in FIGURES[name].dimensions), name
 
 
@@ -79,7 +84,7 @@ def test_the_frame_is_computed_once_for_equal_noise_and_anew_for_other():
     first = prepare(scenario_of("oscillator", nodes=3, steps=5))
     other = prepare(scenario_of("oscillator", nodes=3, steps=5, rule="wac"))
     seeded = prepare(scenario_of("oscillator", nodes=3, steps=5, seed=9))
-    one, two, three = (frame_of(s, range(1), simulate(s, range(1))) for s in (first, other, seeded))
+    one, two, three = (frame_of(simulate(s, range(1))) for s in (first, other, seeded))
     assert one is two
     assert one is not three
 
@@ -91,7 +96,7 @@ def test_bytes_count_what_frames_add():
     frames = [data for topic, data in in_memory(setup) if topic.startswith("share/")]
     assert len(frames) == 3 * 3 * 4 * 2
     histories = simulate(setup, range(1))
-    figures = figures_of(setup, histories, frame_of(setup, range(1), histories))
+    figures = computed(RunView(histories, frame_of(histories)))
     assert figures["bytes_per_step"].tolist() == [sum(map(len, frames)) / 3]
 
 
@@ -133,12 +138,12 @@ def test_figures_of_a_run_do_not_depend_on_the_runs_beside_it(fields: dict):
     """Runs share what is computed once where their traffic is the same."""
     setup = prepare(scenario_of("target-tracking", nodes=6, steps=25, **fields))
     histories = simulate(setup, range(5))
-    together = figures_of(setup, histories, frame_of(setup, range(5), histories))
+    together = computed(RunView(histories, frame_of(histories)))
     contended = not (histories.classes == histories.classes[:1]).all()
     assert contended == bool(fields)
     for run in range(5):
         own = simulate(setup, [run])
-        alone = figures_of(setup, own, frame_of(setup, range(run, run + 1), own))
+        alone = computed(RunView(own, frame_of(own)))
         for name, values in alone.items():
             if "run" in FIGURES[name].dimensions:
                 np.testing.assert_allclose(

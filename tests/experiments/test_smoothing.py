@@ -41,7 +41,7 @@ def test_the_file_has_both_beliefs_and_the_figures_tell_them(
     np.testing.assert_array_equal(arrays["smoothed_mean"][-1], arrays["filtered_mean"][-1])
     shrunk = arrays["filtered_cov"] - arrays["smoothed_cov"]
     assert (np.linalg.eigvalsh(shrunk) > -1e-12).all()
-    assert len(told["distance"]) == mean.shape[1]
+    assert len(told["distance"]) == mean.shape[2]
     # Later, from what was recorded.
     main(["collect", str(tmp_path / "run"), "--smooth"])
     assert "smoothed (smoothed.nc): nodes differ from it by" in capsys.readouterr().out

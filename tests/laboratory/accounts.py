@@ -12,7 +12,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from benchmarks.measure import say
 from concord.nodes.tempo import Tempo
-from concord.results.folder import describe, write_arrays
 from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.results.records.trace import Trace
 from concord.runtime.recording import read_recording
@@ -21,7 +20,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.studies.audit.report import audit
 from concord.studies.monte_carlo.simulate import simulate
-from tests.experiments.support import trace_of
+from tests.experiments.support import trace_of, write_arrays
 
 # A node that stayed has taken part in so many steps in a row. Runs without deaths, and their steps.
 STAYED, CALM_RUNS, CALM_STEPS = 10, 40, 500
@@ -37,13 +36,12 @@ def audited(setup: Setup, folder: Path, tempo: Tempo | None) -> tuple[Trace, np.
     trace and the NEES (steps, N)."""
     finish_recording(folder / "run.mcap")
     trace = trace_of(setup, folder / "run.mcap")
-    driver = "processes" if tempo is None else "realtime"
-    write_arrays(folder, describe("laboratory", driver, setup, tempo), trace)
+    write_arrays(folder, setup, trace, tempo)
     for promise, finding in audit(folder).findings:
         mark = "BROKEN" if finding.broken else "holds"
         text = "; ".join(filter(None, (finding.note, finding.first)))
         say(f"  {mark:8}{promise.says}: {finding.checked} checked. {text}")
-    return trace, read_dataset(folder / ARRAYS, ("nees",), "run it again")["nees"].values
+    return trace, read_dataset(folder / ARRAYS, ("nees",), "run it again")["nees"].values[0]
 
 
 def account(setup: Setup, folder: Path, tempo: Tempo | None) -> None:

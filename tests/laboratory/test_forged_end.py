@@ -8,12 +8,12 @@ import pytest
 
 from concord.nodes.commands import Speed
 from concord.nodes.tempo import Tempo
-from concord.results.folder import describe, write_arrays
 from concord.results.records.trace import read_trace
 from concord.runtime.network.links import names
 from concord.runtime.recording import read_recording
 from concord.scenarios.tempo import tempo_of
 from concord.studies.audit.report import audit
+from tests.experiments.support import write_arrays
 from tests.laboratory.running import Running, neighbouring_ports, oscillators, stranger
 from tests.processes import holds_within
 
@@ -50,7 +50,7 @@ def test_a_forged_end_is_noticed_mended_and_shown(
     trace = read_trace(setup, read_recording(tmp_path / "run.mcap"))
     counted = [one.get("falsely absent", 0) for one in trace.counters]
     assert counted == [0, 1, 0]
-    write_arrays(tmp_path, describe("forged", "processes", setup), trace)
+    write_arrays(tmp_path, setup, trace)
     findings = {promise.says: finding for promise, finding in audit(tmp_path).findings}
     agreed = findings.pop("no member takes another member for out")
     assert (agreed.broken, agreed.note) == ((0, "1 short mistakes") if is_timed else (1, ""))

@@ -199,7 +199,7 @@ def test_a_history_knows_who_was_in_and_where_a_cycle_belongs():
     events = [(4, Left(1)), (6, Joined(1)), (8, Gone(1)), (5, Set({"rounds": 2}, 15))]
     history = history_of(3, [Event(step, change) for step, change in events])
     assert history.epochs == (Epoch(0, 0, 3), Epoch(5, 15, 2))
-    assert history.absent_steps == (AbsentSteps(1, 4, 6), AbsentSteps(1, 8, None))
+    assert history.absent_steps == (AbsentSteps(1, 4, 6), AbsentSteps(1, 8, None, "gone"))
     assert [history.is_in(1, step) for step in range(3, 10)] == [1, 0, 0, 1, 1, 0, 0]
     assert [history.place(cycle) for cycle in (0, 14, 15, 16, 17)] == [
         (0, 0), (4, 2), (5, 0), (5, 1), (6, 0),

@@ -9,7 +9,8 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.history import History
 from concord.plants.placement import site_text
 from concord.plants.targets import turning_target
-from concord.results.innovations.of_run import run_innovations
+from concord.results.figures.summary import heard_by_all
+from concord.results.records.runs import runs_of_trace
 from concord.runtime.batched.build import build_network
 from concord.scenarios.baselines import (
     BaselineContent,
@@ -94,13 +95,14 @@ def test_many_runs_are_judged_by_the_sensors_where_they_stood():
     line = f"{MOVED} set placement=3@500/400;0@650/350"
     histories = simulate(network(changes=(line,)), range(2), keep=(READINGS, INNOVATIONS))
     trace = run(network(), line)
-    of_run = run_innovations(with_moves(network(), trace.history.moves), trace)
-    assert histories.innovations is not None and of_run is not None
-    np.testing.assert_allclose(histories.innovations.nis[0], of_run.own.nis[0], rtol=1e-9)
+    of_run = runs_of_trace(with_moves(network(), trace.history.moves), trace)
+    assert histories.innovations is not None and of_run.innovations is not None
+    np.testing.assert_allclose(histories.innovations.nis[0], of_run.innovations.nis[0], rtol=1e-9)
     # By the places of the beginning no reading would fit.
-    stale = run_innovations(network(), trace)
+    stale = runs_of_trace(network(), trace)
     assert stale is not None
-    worst, best = (np.nanmean(one.heard.innovations.nis) for one in (stale, of_run))
+    heard = [heard_by_all(one) for one in (stale, of_run)]
+    worst, best = (np.nanmean(one.innovations.nis) for one in heard if one is not None)
     assert best < 4 < 40 < worst
 
 

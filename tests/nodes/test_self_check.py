@@ -17,7 +17,7 @@ from concord.nodes.rules.labelled.flooding import LabelledFlooding
 from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY
 from concord.nodes.rules.labelled.self_check import SUSPECT, chi_square_bound
 from concord.nodes.rules.labelled.window_filter import Windows
-from concord.results.records.histories import Histories
+from concord.results.records.runs import Runs
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_node
@@ -115,10 +115,10 @@ def losing(one: type, many: type) -> dict[str, type]:
 
 
 @pytest.fixture
-def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Setup, Histories, Trace]]:
+def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Setup, Runs, Trace]]:
     """Run the ring with a node that gets lost, in arrays and message by message."""
 
-    def run(one: type, many: type, **options: Any) -> tuple[Setup, Histories, Trace]:
+    def run(one: type, many: type, **options: Any) -> tuple[Setup, Runs, Trace]:
         for name, kind in losing(one, many).items():
             monkeypatch.setattr(labelled_rule, name, kind)
         setup = ring(**options)

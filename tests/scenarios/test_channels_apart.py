@@ -9,6 +9,7 @@ import pytest
 from concord.bus.flexray.frame import decode
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -74,7 +75,7 @@ def test_figures_name_the_load_of_each_channel():
     loads = {}
     for channels in ("all", *APART):
         setup = network(channels, **CONTENDED)
-        figures = figures_of(setup, read_trace(setup, in_memory(setup)))
+        figures = figures_of(runs_of_trace(setup, read_trace(setup, in_memory(setup))))
         assert figures is not None
         loads[channels] = figures.channel_loads
         said = "; A {:.1f} %, B {:.1f} %)".format(*(100 * one for one in loads[channels].values()))

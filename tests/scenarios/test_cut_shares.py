@@ -16,6 +16,7 @@ from concord.bus.longest_wait import LongestWait
 from concord.features.flexray_tools.commands.rehearsal import rehearse
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.batched.build import build_network
 from concord.runtime.drivers import in_memory
@@ -82,7 +83,8 @@ def test_of_equal_shares_withdrawal_changes_load_and_nothing_else():
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.cov, other.cov)
     np.testing.assert_array_equal(one.published, other.published)
-    figures, without = figures_of(cut, one), figures_of(withdrawn, other)
+    pairs = ((cut, one), (withdrawn, other))
+    figures, without = (figures_of(runs_of_trace(*pair)) for pair in pairs)
     assert figures is not None and without is not None
     assert figures.cut_shares == one.cut.sum() and without.cut_shares == 0
     ratio = (WHOLE * FRAMES + CUT_FRAMES) / (WHOLE * FRAMES)

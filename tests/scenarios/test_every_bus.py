@@ -16,6 +16,7 @@ from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.theme import DARK
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -104,7 +105,7 @@ def test_the_capture_has_each_frame_at_its_time_on_the_bus(bus: str):
     trace = read_trace(setup, messages)
     found, planned = capture(setup, trace, messages), build_bus(setup)
     assert found is not None
-    figures = figures_of(setup, trace)
+    figures = figures_of(runs_of_trace(setup, trace))
     assert figures is not None and len(found) == figures.frames
     times = [one.time_us for one in found]
     assert times == sorted(times)
@@ -218,7 +219,7 @@ def test_it_sets_the_pace_of_real_time(bus: str, capsys: pytest.CaptureFixture[s
 def test_no_share_of_a_run_exceeds_the_worst_access(bus: str):
     setup = network(bus, **CONTENDED)
     trace = read_trace(setup, in_memory(setup))
-    figures, planned = figures_of(setup, trace), build_bus(setup)
+    figures, planned = figures_of(runs_of_trace(setup, trace)), build_bus(setup)
     assert figures is not None
     if np.isnan(planned.worst_access_us):
         assert figures.worst_access_us is None

@@ -11,7 +11,7 @@ from scipy import stats
 
 from concord.filters.metrics import nees
 from concord.nodes.rules.labelled.flooding import LabelledFlooding
-from concord.results.bus.bus_report import wire_per_step
+from concord.results.bus.bus_times import wire_per_step
 from concord.results.bus.sent_shares import SentShares
 from concord.results.figures.intervals import Interval, ratio_t
 from concord.results.records.trace import Trace, read_trace

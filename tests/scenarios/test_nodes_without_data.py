@@ -8,6 +8,7 @@ import pytest
 from concord.bus.schedule import full_publish, hybrid
 from concord.features.vehicle.plant.drive_log import write_drive
 from concord.results.bus.bus_report import figures_of
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -37,7 +38,7 @@ def test_its_node_sends_nothing_and_the_bus_is_freer(
     trace = read_trace(setup, in_memory(setup))
     assert [one.get("sent", 0) > 0 for one in trace.counters] == [True, True, True, False]
     assert all(one.get("missed", 0) == 0 for one in trace.counters)
-    figures = figures_of(setup, trace)
+    figures = figures_of(runs_of_trace(setup, trace))
     assert figures is not None
     # As many frames for each of three nodes as for each of four.
     assert figures.frames_per_cycle_mean == 3 * frames

@@ -23,7 +23,7 @@ from concord.features.flexray_tools.commands.plan_report import (
 from concord.features.flexray_tools.commands.rehearsal import rehearse
 from concord.features.flexray_tools.timeline import timeline
 from concord.results.bus import bus_report
-from concord.results.bus.bus_report import timetable
+from concord.results.bus.bus_times import timetable
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.clusters import FITTED
 from concord.scenarios.preparation import prepare

@@ -11,7 +11,7 @@ import msgspec
 
 from concord.nodes import environment
 from concord.nodes.bounds import node_of
-from concord.nodes.changes import Gone, Settings
+from concord.nodes.changes import Event, Gone, Settings
 from concord.nodes.commands import Answer, Kill, Restart, Scripted, read_command
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import (
@@ -43,7 +43,12 @@ from concord.runtime.processes.environment.notices import (
     Presence,
 )
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
-from concord.runtime.processes.environment.reports import clock, last_words, standing
+from concord.runtime.processes.environment.reports import (
+    clock,
+    last_words,
+    membership_in_words,
+    standing,
+)
 from concord.runtime.processes.job import NodeEnded
 from concord.runtime.processes.peer_timeout import PeerTimeout
 from concord.runtime.processes.republisher import Republisher
@@ -230,6 +235,8 @@ class EnvironmentProcess:
                 case Tell(line):
                     self._say_once(line)
                 case _:
+                    if isinstance(action, Event) and (line := membership_in_words(action)):
+                        sys.stderr.write(f"environment: {line}\n")
                     self._pacing.send(action, self._lines)
 
     def _say_once(self, line: str) -> None:

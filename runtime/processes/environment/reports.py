@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import msgspec
 
 from concord.nodes import environment
+from concord.nodes.changes import Event, Gone, Joined, Left
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.run_controller import RunController
 from concord.runtime.processes.clock import EnvironmentClock
@@ -16,6 +17,18 @@ from concord.runtime.processes.recorder.process import Finished
 def in_words(names: Sequence[str]) -> str:
     """Processes by their names."""
     return ", ".join(f"node {name}" if name.isdecimal() else f"the {name}" for name in names)
+
+
+def membership_in_words(event: Event) -> str:
+    """Say which node is gone, has left or is back; empty for other changes."""
+    match event.change:
+        case Gone(node):
+            return f"node {node} is gone from step {event.step} on; the others go on without it"
+        case Left(node):
+            return f"node {node} left at step {event.step}, as asked"
+        case Joined(node):
+            return f"node {node} is back from step {event.step} on"
+    return ""
 
 
 def standing(

@@ -14,7 +14,6 @@ from concord.features.measurement_bus.stochastic_ukf import MeasurementFilter
 from concord.filters.gaussian import Gaussian
 from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from concord.papers.meng2025.runs import from_step_0
-from concord.results.figures.summary import summarise
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised, local_only
@@ -22,7 +21,7 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from tests.experiments.support import scenario
+from tests.experiments.support import scenario, summary_of
 from tests.nodes import changing
 from tests.test_agreement import assert_agreement
 
@@ -116,15 +115,17 @@ def test_sensors_believe_nothing_and_the_figures_are_those_of_the_estimator():
     setup = star()
     trace = run(setup)
     assert np.isnan(trace.mean[:, 1:]).all()
-    figures = summarise(setup, trace)
+    figures = summary_of(setup, trace)
     errors = (trace.mean[:, 0] - trace.truth)[1:]
     expected = np.sqrt((errors**2).sum(-1).mean())
-    assert figures.rmse == pytest.approx(expected) == pytest.approx(figures.nodes[0].rmse)
-    assert figures.worst_node_to_centralised == pytest.approx(expected / figures.rmse_centralised)
-    assert figures.disagreement == 0
-    assert all(np.isnan(node.rmse) for node in figures.nodes[1:])
+    assert figures.value("rmse") == pytest.approx(expected)
+    assert figures.nodes[0]["rmse"].value == pytest.approx(expected)
+    worst, central = (figures.value(n) for n in ("worst_node_to_centralised", "rmse_centralised"))
+    assert worst == pytest.approx(expected / central)
+    assert figures.value("disagreement") == 0
+    assert all(np.isnan(node["rmse"].value) for node in figures.nodes[1:])
     # With one of six sensors per step: better than none, not as good as all.
-    assert figures.rmse_centralised < figures.rmse < figures.rmse_local_only
+    assert central < figures.value("rmse") < figures.value("rmse_alone")
 
 
 def test_its_baselines_are_all_sensors_and_none():

@@ -9,6 +9,7 @@ import pytest
 from concord.features.other_buses.can_fd.can_fd_bus import CanFdBus
 from concord.results.bus.bus_capture import capture
 from concord.results.bus.bus_report import figures_of, lines
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -98,7 +99,7 @@ def test_capture_and_figures_have_each_error_at_its_time():
     cycles = np.array([one.time_us for one in found]) // bus.cycle_us
     last = (np.array(ends) - 1e-6) // bus.cycle_us
     assert np.array_equal(cycles, last)
-    figures = figures_of(setup, trace)
+    figures = figures_of(runs_of_trace(setup, trace))
     assert figures is not None and figures.error_frames == errors
     assert figures.error_us_per_step == pytest.approx(errors * bus.failed_us(size) / 20)
     assert any(line.startswith(f"errors: {errors} tries") for line in lines(figures))

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from concord.results.figures.summary import Figures, summarise
+from concord.results.figures.summary import Summary
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
-from tests.experiments.support import scenario
+from tests.experiments.support import scenario, summary_of
 
 pytestmark = pytest.mark.slow
 
@@ -50,8 +50,8 @@ BEST_NODE_ALL = (1.16, 1.13, 1.65, 1.16, 0.98)
 
 
 @cache
-def outcome(folder: str, target: int, way: Way, steps: int = 3860) -> tuple[Figures, Trace]:
-    """Figures and arrays of a recording, of all of it for the bounds."""
+def outcome(folder: str, target: int, way: Way, steps: int = 3860) -> tuple[Summary, Trace]:
+    """Summary and arrays of a recording, of all of it for the bounds."""
     changes = {"schedule": "round-robin", "occupancy": 0.25} if way.held else {}
     asked = scenario(
         "mrclam",
@@ -64,24 +64,27 @@ def outcome(folder: str, target: int, way: Way, steps: int = 3860) -> tuple[Figu
     )
     setup = prepare(asked)
     trace = read_trace(setup, in_memory(setup))
-    return summarise(setup, trace), trace
+    return summary_of(setup, trace), trace
 
 
-def check_bounds(figures: Figures, way: Way) -> None:
+def check_bounds(figures: Summary, way: Way) -> None:
     """Bounds 1 and 2: the worst node against the centralised filter and the best lonely one."""
-    every, near = [node.rmse for node in figures.nodes], figures.rmse_near
-    assert max(every) <= ALL_ERROR * figures.rmse_centralised
-    assert max(near) <= way.near * figures.rmse_near_centralised
-    assert min(node.rmse_local_only for node in figures.nodes) >= ALL_GAIN * max(every)
-    assert min(figures.rmse_near_local_only) >= NEAR_GAIN[way.held] * max(near)
+    every, near, alone = (
+        [node[name].value for node in figures.nodes] for name in ("rmse", "rmse_near", "rmse_alone")
+    )
+    assert max(every) <= ALL_ERROR * figures.value("rmse_centralised")
+    assert max(near) <= way.near * figures.value("rmse_near_centralised")
+    assert min(alone) >= ALL_GAIN * max(every)
 
 
-def check_frame(figures: Figures, target: int) -> None:
+def check_frame(figures: Summary, target: int) -> None:
     """The filters that frame the network are the study's, to its last printed digit."""
     place = target - 1
-    local = min(node.rmse_local_only for node in figures.nodes)
-    assert figures.rmse_centralised == pytest.approx(CENTRALISED_ALL[place], abs=0.0006)
-    assert figures.rmse_near_centralised == pytest.approx(CENTRALISED_NEAR[place], abs=0.0006)
+    local = min(node["rmse_alone"].value for node in figures.nodes)
+    assert figures.value("rmse_centralised") == pytest.approx(CENTRALISED_ALL[place], abs=0.0006)
+    assert figures.value("rmse_near_centralised") == pytest.approx(
+        CENTRALISED_NEAR[place], abs=0.0006
+    )
     assert local == pytest.approx(BEST_NODE_ALL[place], abs=0.006)
 
 
@@ -116,5 +119,5 @@ def test_bounds_of_all(mrclam_folder, name: str, target: int):
 def test_consistency_over_all_targets(mrclam_folder, name: str):
     """Bound 3: ANEES of the network and of the centralised filter, mean over targets."""
     found = [outcome(str(mrclam_folder), target, WAYS[name])[0] for target in TARGETS]
-    assert 0.55 <= np.mean([figures.anees for figures in found]) <= 1.2
-    assert 0.8 <= np.mean([figures.anees_centralised for figures in found]) <= 1.5
+    assert 0.55 <= np.mean([figures.value("anees") for figures in found]) <= 1.2
+    assert 0.8 <= np.mean([figures.value("anees_centralised") for figures in found]) <= 1.5

@@ -19,8 +19,6 @@ from concord.features.sets.set_receivers import HeldValues
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.papers.liu2021.runs import BUS, PLANT
-from concord.results.figures.summary import summarise
-from concord.results.figures.summary_table import opening
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import in_memory
@@ -28,7 +26,7 @@ from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
 from concord.studies.agree import near_differences
-from tests.experiments.support import scenario
+from tests.experiments.support import scenario, summary_of
 from tests.features.sets.bounded_systems import on_the_sphere
 from tests.test_agreement import assert_agreement
 
@@ -149,12 +147,13 @@ def test_a_receiver_that_returns_begins_with_its_prior_and_holds_the_truth():
 
 def test_the_summary_counts_the_sets_of_the_receiver_alone():
     setup = star()
-    figures = summarise(setup, run(setup))
-    assert opening(figures) == ["sets: 0 of 21 do not hold the truth"]
-    assert [node.containment is None for node in figures.nodes] == [False] + [True] * 4
-    assert figures.containment is not None and figures.containment.half_width < 3
+    figures = summary_of(setup, run(setup))
+    assert figures.verdict.said == "sets: 0 of 21 do not hold the truth"
+    known = [np.isnan(node["set_half_width"].value) for node in figures.nodes]
+    assert known == [False] + [True] * 4
+    assert figures.value("set_half_width") < 3
     # All four outputs at once, with the one noise that disturbs them, tell the state.
-    assert figures.rmse_centralised < 1e-9
+    assert figures.value("rmse_centralised") < 1e-9
 
 
 @pytest.mark.parametrize(

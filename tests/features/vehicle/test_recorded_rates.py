@@ -13,7 +13,7 @@ import pytest
 
 from concord.features.vehicle.plant.parameters import BMW_320I, car_to_toml
 from concord.plants.recorded.channels import ChannelReadings
-from concord.results.innovations.of_run import run_innovations
+from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
@@ -159,9 +159,9 @@ def test_every_reading_is_used_once(traces: list[Trace]):
 def test_the_filters_take_each_reading_once(tmp_path: Path):
     """Each innovation is that of one reading."""
     trace = trace_of(tmp_path / "log")
-    found = run_innovations(setup_of(tmp_path / "log"), trace)
+    found = runs_of_trace(setup_of(tmp_path / "log"), trace).innovations
     assert found is not None
-    taken = np.isfinite(found.own.value[0]).sum(axis=(0, 2, 3))
+    taken = np.isfinite(found.value[0]).sum(axis=(0, 2, 3))
     np.testing.assert_array_equal(taken, np.isfinite(trace.readings).sum(axis=(0, 2, 3)))
     assert taken.tolist()[2] == round(90 * 0.005 * STEPS) and taken[3] == 0
 

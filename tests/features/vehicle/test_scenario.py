@@ -19,12 +19,11 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured
 from concord.results.bus.bus_report import figures_of
 from concord.results.figures.network_errors import RunTruths, network_errors
-from concord.results.innovations.of_run import (
-    innovation_variables,
-    judged_run,
-    run_innovations,
-)
+from concord.results.figures.summary import heard_by_all
+from concord.results.records.runs import runs_of_trace
+from concord.results.records.runs_file import runs_dataset
 from concord.results.records.trace import Trace, read_trace
+from concord.results.verdict.judge import judged_innovations
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised, local_only
 from concord.scenarios.build import build_node, filter_of
@@ -77,7 +76,7 @@ def test_estimates_are_consistent_while_the_noise_grows():
 
 def test_the_bus_is_the_cars():
     prepared = setup(steps=4)
-    figures = figures_of(prepared, run(prepared))
+    figures = figures_of(runs_of_trace(prepared, run(prepared)))
     assert figures is not None
     assert figures.cycle_us == 5000
     assert prepared.time_step_s == pytest.approx(5e-3)
@@ -132,22 +131,22 @@ def test_the_noise_of_a_logged_slip_is_no_error_of_the_estimates(tmp_path: Path)
 def test_steps_outside_the_model_are_not_judged_and_the_verdict_says_so():
     prepared = setup(steps=240, noise="matched")
     trace = run(prepared)
-    found = run_innovations(prepared, trace)
-    assert found is not None
-    nees = np.ones(40)
-    whole, sentence = judged_run(prepared, found, 200, nees)
-    assert whole is not None and sentence is not None
-    assert "not judged" not in sentence
-    found.heard.belief.mean[0, 230:, SPEED] = 2.0
-    found.own.value[0, 230:] *= 1e3
-    part, sentence = judged_run(prepared, found, 200, nees)
-    assert part is not None and part.outside is not None and sentence is not None
-    assert "not judged: 25 % of the drive, outside the model (below 3 m/s: 25 %" in sentence
+    runs = runs_of_trace(prepared, trace)
+    heard = heard_by_all(runs)
+    assert runs.innovations is not None and heard is not None
+    nees = np.ones((1, 240))
+    counted = np.arange(240)[None] >= 200
+    whole, finding = judged_innovations(prepared, runs.innovations, heard, counted, nees)
+    assert "not judged" not in finding.said
+    heard.belief.mean[0, 230:, SPEED] = 2.0
+    runs.innovations.value[0, 230:] *= 1e3
+    part, finding = judged_innovations(prepared, runs.innovations, heard, counted, nees)
+    assert part.outside is not None
+    assert "not judged: 25 % of the drive, outside the model (below 3 m/s: 25 %" in finding.said
     assert part.outside["any"] == 0.25
     assert part.centralised.updates < whole.centralised.updates
-    np.testing.assert_array_equal(
-        innovation_variables(prepared, found)["outside_model"][1], np.arange(240) >= 230
-    )
+    outside = runs_dataset(runs, heard=heard)["outside_model"].to_numpy()
+    np.testing.assert_array_equal(outside[0], np.arange(240) >= 230)
 
 
 def test_claims_are_judged_only_where_the_model_holds():

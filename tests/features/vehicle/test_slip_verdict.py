@@ -33,7 +33,7 @@ def cure_of(cause: Cause, **options) -> str:
     setup = Setup(car, [[]] * 4, [[1.0]] * 4, [], [], [], 0.005)
     beliefs = Gaussian(np.zeros((2, 3, 6)), np.zeros((2, 3, 6, 6)))
     explained = DEFINITION.explain(setup, beliefs, np.ones((2, 3), bool))
-    return verdict(car, Diagnosis(cause, YAW, OFF), FITTING, FITTING, FITTING, explained)
+    return verdict(car, Diagnosis(cause, YAW, OFF), FITTING, FITTING, explained).said
 
 
 def test_identification_is_named_only_where_there_is_a_log():
@@ -46,8 +46,8 @@ def test_identification_is_named_only_where_there_is_a_log():
 def test_errors_of_the_slip_lead_where_innovations_are_small():
     """A verdict said "underconfident" of a car whose side slip had an ANEES of 2.9."""
     of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
-    given = scenario("vehicle-network"), of_readings, FITTING, UNKNOWN, UNKNOWN
-    sentence = verdict(*given, told(SlipEvidence(OVER, False, (14.0, 3.2, 4.6))))
+    given = scenario("vehicle-network"), of_readings, FITTING, UNKNOWN
+    sentence = verdict(*given, told(SlipEvidence(OVER, False, (14.0, 3.2, 4.6)))).said
     assert sentence.startswith(
         "overconfident: the side slip errs by more than the filter that hears everything claims "
         "(ANEES 2.3 to 3.7 where 1 is right, by what yaw rate and lateral acceleration add up to, "
@@ -65,8 +65,8 @@ def test_errors_of_the_slip_lead_where_innovations_are_small():
 )
 def test_a_side_slip_that_is_no_worse_than_claimed_stands_at_the_end(anees, words: str):
     nothing, slip = Diagnosis(Cause.NONE), SlipEvidence(anees, True)
-    given = scenario("vehicle-network"), nothing, FITTING, FITTING, FITTING
-    sentence = verdict(*given, told(slip))
+    given = scenario("vehicle-network"), nothing, FITTING, FITTING
+    sentence = verdict(*given, told(slip)).said
     assert sentence.startswith("consistent: ")
     assert words in sentence and sentence.endswith("by the logged one)")
 
@@ -74,15 +74,15 @@ def test_a_side_slip_that_is_no_worse_than_claimed_stands_at_the_end(anees, word
 def test_process_noise_that_covers_the_tyres_is_no_wrong_claim():
     """After `identify` innovations are smaller than claimed, where the side slip is as claimed."""
     of_readings = Diagnosis(Cause.NOISE_TOO_LARGE, YAW, TOO_SMALL)
-    given = scenario("vehicle-network"), of_readings, FITTING, FITTING, FITTING
-    sentence = verdict(*given, told(SlipEvidence(FITTING, True)))
+    given = scenario("vehicle-network"), of_readings, FITTING, FITTING
+    sentence = verdict(*given, told(SlipEvidence(FITTING, True))).said
     assert sentence.startswith("consistent: the side slip errs as the filter")
     assert "innovations alone would say underconfident: " in sentence
-    untold = verdict(*given, told(SlipEvidence(UNKNOWN, False)))
+    untold = verdict(*given, told(SlipEvidence(UNKNOWN, False))).said
     assert untold.startswith("undecided: this drive does not tell how far the side slip errs; ")
-    less = verdict(*given, told(SlipEvidence(Interval(0.3, 0.2, 0.4), True)))
+    less = verdict(*given, told(SlipEvidence(Interval(0.3, 0.2, 0.4), True))).said
     assert less.startswith("underconfident: ")
-    # A rule that claims too little is at fault beside a filter that claims what it knows.
-    by_rule = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, UNDER, UNDER
-    sentence = verdict(*by_rule, told(SlipEvidence(FITTING, True)))
-    assert sentence.startswith("underconfident: models and sensors fit the readings, but rule")
+    # Caution is the rule's doing, and no fault.
+    by_rule = scenario("vehicle-network"), Diagnosis(Cause.NONE), FITTING, UNDER
+    found = verdict(*by_rule, told(SlipEvidence(FITTING, True)))
+    assert (found.level, found.cause) == ("WORKS", "cautious")

@@ -20,9 +20,8 @@ from concord.features.vehicle.identification.suspects import suspect
 from concord.features.vehicle.plant.drive_log import channels_of, write_drive
 from concord.features.vehicle.plant.model import tanh_tyre
 from concord.features.vehicle.plant.parameters import Car
-from concord.results.figures.intervals import Interval
-from concord.results.innovations.of_run import judged
-from concord.results.run_verdict import anees_interval
+from concord.results.figures.intervals import Interval, batch_means
+from concord.results.verdict.judge import judged_innovations
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.innovations import innovations_of_all
 from concord.scenarios.preparation import prepare
@@ -85,9 +84,10 @@ def judged_log(folder: Path) -> Judged:
     error = heard.belief.mean[0] - plant.truth[:STEPS]
     squares = scored_nees(setup.scenario, error, heard.belief.cov[0])
     counted = np.arange(STEPS)[None] >= 200
-    figures, sentence = judged(setup, heard.innovations, heard, counted, np.full((1, STEPS), 1.0))
+    nees = np.ones((1, STEPS))
+    figures, found = judged_innovations(setup, heard.innovations, heard, counted, nees)
     assert figures.centralised.interval is not None
-    return Judged(sentence, figures.centralised.interval, anees_interval(squares[200:]))
+    return Judged(found.said, figures.centralised.interval, batch_means(squares[200:]))
 
 
 @pytest.mark.parametrize("cause", CAUSES)

@@ -23,8 +23,8 @@ from concord.features.vehicle.plant.model import tanh_tyre
 from concord.features.vehicle.plant.network import SIDE_SLIP
 from concord.features.vehicle.plant.parameters import Car, car_from_toml
 from concord.plants.recorded.channels import ChannelReadings
+from concord.results.figures.intervals import batch_means
 from concord.results.innovations.channel_test import nis_interval
-from concord.results.run_verdict import anees_interval
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import innovations_of_all
 from concord.scenarios.preparation import prepare
@@ -108,7 +108,7 @@ def test_another_drive_of_the_car_is_consistent(identified: Identified, tmp_path
         error = heard.belief.mean[0, 100:, SIDE_SLIP] - truth
         squares = error**2 / heard.belief.cov[0, 100:, SIDE_SLIP, SIDE_SLIP]
         freedoms = int(entries.sum())
-        found[name] = nis_interval(float(np.nansum(nis)), freedoms), anees_interval(squares)
+        found[name] = nis_interval(float(np.nansum(nis)), freedoms), batch_means(squares)
     nis, anees = found["after"]
     assert nis.low < 1 < nis.high
     assert anees.low < 1 < anees.high, anees

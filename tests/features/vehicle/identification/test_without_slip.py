@@ -29,8 +29,8 @@ from concord.features.vehicle.plant.tyre_identification import identify
 from concord.features.vehicle.slip_evidence import squares_beside
 from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings
-from concord.results.innovations.of_run import judged
-from concord.results.run_verdict import anees_interval
+from concord.results.figures.intervals import batch_means
+from concord.results.verdict.judge import judged_innovations
 from concord.scenarios.catalogue import definition_of, scored_nees
 from concord.scenarios.innovations import HearsAll, innovations_of_all
 from concord.scenarios.preparation import prepare
@@ -163,7 +163,7 @@ def filtered(folder: Path, drive: Drive, car: Car) -> Filtered:
 
 def anees_of(folder: Path, drive: Drive, car: Car) -> float:
     """ANEES of the filter that hears everything but the slip, after half a second."""
-    return anees_interval(filtered(folder, drive, car).squares[100:]).value
+    return batch_means(filtered(folder, drive, car).squares[100:]).value
 
 
 def verdict_of(folder: Path, drive: Drive, car: Car) -> str:
@@ -171,7 +171,9 @@ def verdict_of(folder: Path, drive: Drive, car: Car) -> str:
     heard = filtered(folder, drive, car)
     counted = np.arange(len(heard.squares))[None] >= 100
     nees = np.where(counted, heard.squares, np.nan)
-    return judged(heard.setup, heard.by_all.innovations, heard.by_all, counted, nees)[1]
+    of_all = heard.by_all
+    _, found = judged_innovations(heard.setup, of_all.innovations, of_all, counted, nees[None])
+    return found.said
 
 
 @pytest.mark.parametrize("manoeuvre", ["step-steer", "serpentine"])

@@ -6,7 +6,7 @@ import numpy as np
 from concord.results.records.runs import Runs
 
 
-class Absence(msgspec.Struct, frozen=True):
+class Outage(msgspec.Struct, frozen=True):
     """Nodes that were out together, from `first_step` to before `end_step`; None is to the end.
 
     `is_asked` says whether a change or a command asked for it; else the process was lost.
@@ -34,17 +34,17 @@ class Absence(msgspec.Struct, frozen=True):
         return f"{self.nodes_in_words()} {was} out from step {self.first_step} {until}, {why}"
 
 
-def absences_of(runs: Runs) -> list[Absence]:
-    """Return the absences of runs in order. In runs as arrays only what was asked for happens."""
+def outages_of(runs: Runs) -> list[Outage]:
+    """Return the outages of runs in order. In runs as arrays only what was asked for happens."""
     together: dict[tuple[int, int | None, bool], list[int]] = {}
     for node, first, end, is_asked in sorted(_single(runs)):
         together.setdefault((first, end, is_asked), []).append(node)
     keys = sorted(together, key=lambda key: (key[0], together[key]))
-    return [Absence(tuple(together[key]), *key) for key in keys]
+    return [Outage(tuple(together[key]), *key) for key in keys]
 
 
 def _single(runs: Runs) -> set[tuple[int, int, int | None, bool]]:
-    """Node, first step, end, and whether it was asked for, of each absence."""
+    """Node, first step, end, and whether it was asked for, of each outage."""
     if runs.history is not None:
         return {
             (one.node, one.first_step, one.end_step, one.why == "asked")
