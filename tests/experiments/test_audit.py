@@ -204,7 +204,7 @@ def test_a_wild_jump_after_an_event_is_marked(tmp_path: Path, capsys):
     folder = write(tmp_path, MESSAGES)
     with xarray.open_dataset(folder / ARRAYS, engine="h5netcdf") as opened:
         arrays = opened.load()
-    arrays["nees"][:6], arrays["nees"][6:] = 1.0, 50.0
+    arrays["nees"][:, :6], arrays["nees"][:, 6:] = 1.0, 50.0
     arrays.to_netcdf(folder / ARRAYS, engine="h5netcdf")
     assert [one.jumps for one in audit(folder).around] == [False, True, False]
     with pytest.raises(SystemExit) as ended:
