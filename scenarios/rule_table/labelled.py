@@ -22,6 +22,7 @@ from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.filter_table.filters import learns
 from concord.scenarios.node_context import Everybody
+from concord.scenarios.rule_table.rule import BELIEFS
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import FlexRay
@@ -58,14 +59,26 @@ def frame_codec(
         ValueError: a share cannot hold what it must.
     """
     scenario = everybody.scenario
-    number = RECORD_NUMBERS[flooding_of(scenario).record_number]
+    number, origin = RECORD_NUMBERS[flooding_of(scenario).record_number], everybody.origin
     return LabelledFrameCodec(
-        [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
-        BeliefCodec(states, flooding_of(scenario).checkpoint_number),
+        [
+            record_codec(sensor, everybody.readings_shape, number, origin)
+            for sensor in everybody.sensors
+        ],
+        checkpoint_codec(scenario, states, origin),
         window_of(scenario, neighbours),
         digest_of(scenario),
         largest_share(scenario, states),
     )
+
+
+def checkpoint_codec(
+    scenario: Scenario, states: int, origin: np.ndarray | None = None
+) -> BeliefCodec:
+    """How the beliefs are written that begin a window."""
+    number = flooding_of(scenario).checkpoint_number
+    codec = BELIEFS.codec(number, states, scenario.nodes, origin=origin)
+    return BeliefCodec(states, number, codec.form)
 
 
 def choice_of(scenario: Scenario, frames: LabelledFrameCodec) -> RecordChoice:
@@ -86,10 +99,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     Raises:
         ValueError: it does not hold a checkpoint of so many states.
     """
-    form, checkpoint = (
-        frame_format(scenario),
-        BeliefCodec(states, flooding_of(scenario).checkpoint_number).size,
-    )
+    form, checkpoint = frame_format(scenario), checkpoint_codec(scenario, states).size
     asked = flooding_of(scenario).payload_bytes
     most = _USUAL_PAYLOAD_BYTES if asked is None else asked
     limit = most - form.numbering_bytes
