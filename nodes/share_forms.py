@@ -309,8 +309,10 @@ class SingleHybrid:
         largest = np.abs(added).max(axis=(-1, -2), keepdims=True)[..., 0]
         far = lost * np.abs(pull).max(axis=-1, keepdims=True)
         fewer = np.maximum(1.0, np.maximum(lost * largest, far) / _MOST_LOST)
+        # A power of two, so that the last bits of means, by driver, leave the covariance alone.
+        slack = np.exp2(2.0 * np.ceil(np.log2(far / fewer)))
         variances = np.diagonal(prior.cov, axis1=-2, axis2=-1)
-        cov = prior.cov + np.eye(n) * (variances * (far / fewer) ** 2)[..., None, :]
+        cov = prior.cov + np.eye(n) * (slack * variances)[..., None, :]
         codes = self._prior.codes(np.concatenate((prior.mean, pack_upper(cov)), axis=-1))
         pull, added = _whitened(_belief_of(self._prior.numbers(codes), n), unpack(novelty))
         added = added / fewer[..., None]
