@@ -180,7 +180,7 @@ class BatchedFlooding:
             self.frames.costs(content.kept.lengths[runs]),
             room,
         )
-        return records, self.frames.limit_bytes - room + taken
+        return records, self.frames.limits(owed) - room + taken
 
     def _heard(
         self, content: BatchedLabelledContent, shares: Shared, came: Came
