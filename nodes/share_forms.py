@@ -70,6 +70,30 @@ class ShareForm(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class AboutOrigin:
+    """The `form` of numbers that begin with a mean, which it writes about an origin (n,)."""
+
+    form: ShareForm
+    origin: np.ndarray
+
+    @property
+    def length(self) -> int:
+        """That of the form."""
+        return self.form.length
+
+    def codes(self, numbers: np.ndarray) -> np.ndarray:
+        """Codes of the difference."""
+        n = len(self.origin)
+        about = np.concatenate((numbers[..., :n] - self.origin, numbers[..., n:]), axis=-1)
+        return self.form.codes(about)
+
+    def numbers(self, codes: np.ndarray) -> np.ndarray:
+        """The numbers with the origin added."""
+        found, n = self.form.numbers(codes), len(self.origin)
+        return np.concatenate((found[..., :n] + self.origin, found[..., n:]), axis=-1)
+
+
 @dataclass(frozen=True)
 class SingleBelief:
     """Mean and upper triangle of the covariance of `states` dimensions, as float32."""
@@ -87,7 +111,7 @@ class SingleBelief:
         n = self.states
         mean, cov = numbers[..., :n], unpack_upper(numbers[..., n:])
         variances = np.diagonal(cov, axis1=-2, axis2=-1)
-        enlarged = (n + 2) * _SINGLE * variances + n * (_SINGLE * mean) ** 2
+        enlarged = (n + 2) * _SINGLE * variances + n * (_SINGLE * mean) ** 2 + n * _LEAST
         cov = cov + np.eye(n) * enlarged[..., None, :]
         return np.concatenate((mean, pack_upper(cov)), axis=-1).astype("<f4")
 
@@ -194,28 +218,122 @@ class TwoByteBelief:
 
 
 @dataclass(frozen=True)
-class TwoByteInformation:
+class InformationPair:
     """A packed information pair that is positive definite, in the form of its belief."""
 
-    states: int
-
-    @property
-    def _belief(self) -> TwoByteBelief:
-        return TwoByteBelief(self.states)
+    belief: SingleBelief | TwoByteBelief
 
     @property
     def length(self) -> int:
         """One code a number."""
-        return self._belief.length
+        return self.belief.length
 
     def codes(self, numbers: np.ndarray) -> np.ndarray:
         """The codes of the belief."""
         mean, cov = to_gaussian(unpack(numbers))
-        return self._belief.codes(np.concatenate((mean, pack_upper(cov)), axis=-1))
+        return self.belief.codes(np.concatenate((mean, pack_upper(cov)), axis=-1))
 
     def numbers(self, codes: np.ndarray) -> np.ndarray:
         """The information pair of the belief in the codes."""
-        return pack(to_information(_belief_of(self._belief.numbers(codes), self.states)))
+        return pack(to_information(_belief_of(self.belief.numbers(codes), self.belief.states)))
+
+
+@dataclass(frozen=True)
+class SingleNovelty:
+    """A packed novelty of `states` states, and `more` numbers without a covariance, as float32.
+
+    A novelty is the information of readings, and its rounding acts as more noise of theirs. Its
+    matrix loses what its rounding could gain, so a novelty of some directions alone may take a
+    little prior information in the others. A receiver refuses it where it takes all. The rounding
+    of the vector counts state by state, which is a bound where the matrix is diagonal. Rules with
+    such shares claim no bound either, but `centralised`.
+    """
+
+    states: int
+    more: int = 0
+
+    @property
+    def length(self) -> int:
+        """One code a number."""
+        return packed_length(self.states) + self.more
+
+    @_QUIET
+    def codes(self, numbers: np.ndarray) -> np.ndarray:
+        """Float32, the novelty as of noisier readings."""
+        n, length = self.states, packed_length(self.states)
+        vector, matrix = numbers[..., :n], unpack_upper(numbers[..., n:length])
+        seen = np.diagonal(matrix, axis1=-2, axis2=-1)
+        moved = np.where(seen > 0, (_SINGLE * vector) ** 2 / np.where(seen > 0, seen, 1.0), 0.0)
+        kept = 1.0 / (1.0 + n * moved.sum(axis=-1, keepdims=True))
+        least = matrix - np.eye(n) * ((n + 2) * _SINGLE * np.abs(seen))[..., None, :]
+        novelty = kept * np.concatenate((vector, pack_upper(least)), axis=-1)
+        return np.concatenate((novelty, numbers[..., length:]), axis=-1).astype("<f4")
+
+    def numbers(self, codes: np.ndarray) -> np.ndarray:
+        """The same in float64."""
+        return codes.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class SingleHybrid:
+    """Prior information, novelty and row of weights as in `TwoByteHybrid`, as float32.
+
+    The variances of the prior have a slack for the rounding of the novelty's vector. A novelty that
+    would take a slack of more than half, or half of the prior's information, is sent as if it were
+    noisier.
+    """
+
+    states: int
+    nodes: int
+
+    @property
+    def _prior(self) -> SingleBelief:
+        return SingleBelief(self.states)
+
+    @property
+    def length(self) -> int:
+        """One code a number."""
+        return 2 * packed_length(self.states) + self.nodes
+
+    @_QUIET
+    def codes(self, numbers: np.ndarray) -> np.ndarray:
+        """Float32 codes; NaN where numbers are not finite."""
+        n, length = self.states, packed_length(self.states)
+        prior, novelty = (
+            to_gaussian(unpack(numbers[..., :length])),
+            numbers[..., length:][..., :length],
+        )
+        pull, added = _whitened(prior, unpack(novelty))
+        # At the largest gain, in standard deviations of the prior; twice, as the slack adds some.
+        lost = 2.0 * n * self.nodes * _SINGLE
+        largest = np.abs(added).max(axis=(-1, -2), keepdims=True)[..., 0]
+        far = lost * np.abs(pull).max(axis=-1, keepdims=True)
+        fewer = np.maximum(1.0, np.maximum(lost * largest, far) / _MOST_LOST)
+        # A power of two, so that the last bits of means, by driver, leave the covariance alone.
+        slack = np.exp2(2.0 * np.ceil(np.log2(far / fewer)))
+        variances = np.diagonal(prior.cov, axis1=-2, axis2=-1)
+        cov = prior.cov + np.eye(n) * (slack * variances)[..., None, :]
+        codes = self._prior.codes(np.concatenate((prior.mean, pack_upper(cov)), axis=-1))
+        pull, added = _whitened(_belief_of(self._prior.numbers(codes), n), unpack(novelty))
+        added = added / fewer[..., None]
+        rounded = added.astype(np.float32)
+        errors = np.abs(rounded - added).sum(axis=-1)
+        errors += _SINGLE * np.abs(np.diagonal(added, axis1=-2, axis2=-1)) + _LEAST
+        least = (added - np.eye(n) * errors[..., None, :]).astype(np.float32)
+        weights = numbers[..., 2 * length :]
+        row = weights.astype(np.float32)
+        row = np.where(row < weights, np.nextafter(row, np.float32(np.inf)), row)
+        return np.concatenate(
+            (codes, pull / fewer, pack_upper(least), row), axis=-1, dtype="<f4", casting="same_kind"
+        )
+
+    def numbers(self, codes: np.ndarray) -> np.ndarray:
+        """Prior information, novelty and row; NaN where one of them cannot be read."""
+        n, length = self.states, packed_length(self.states)
+        belief = _belief_of(self._prior.numbers(codes[..., :length]), n)
+        numbers = codes[..., length:].astype(np.float64)
+        pull, added = numbers[..., :n], unpack_upper(numbers[..., n:length])
+        return _hybrid(belief, pull, added, numbers[..., length:])
 
 
 @dataclass(frozen=True)
@@ -254,10 +372,7 @@ class TwoByteHybrid:
         mean, cov = to_gaussian(unpack(numbers[..., :length]))
         prior = self._prior.codes(np.concatenate((mean, pack_upper(cov)), axis=-1))
         decoded = _belief_of(self._prior.numbers(prior), n)
-        vector, matrix = unpack(numbers[..., length : 2 * length])
-        factor = cholesky(decoded.cov)
-        added = factor.mT @ matrix @ factor
-        pull = multiply(factor.mT, vector - multiply(matrix, decoded.mean))
+        pull, added = _whitened(decoded, unpack(numbers[..., length : 2 * length]))
         # With this largest entry, N n times the matrix's step is as much as may be lost.
         reach = _MOST_LOST * _LARGEST / (n * self.nodes)
         largest = np.abs(added).max(axis=(-1, -2), keepdims=True)[..., 0]
@@ -284,17 +399,28 @@ class TwoByteHybrid:
         step = _of_positive(codes[..., -1:]) / _LARGEST
         added = unpack_upper(_signed(codes[..., length + n : 2 * length]) * step)
         pull = _signed(codes[..., length : length + n]) * self._vector_step
-        whitener = inverse_of_triangle(cholesky(belief.cov))
-        matrix = whitener.mT @ added @ whitener
-        matrix = 0.5 * (matrix + matrix.mT)
-        vector = multiply(whitener.mT, pull) + multiply(matrix, belief.mean)
-        row = codes[..., 2 * length : -1] * _WEIGHT_STEP
-        pairs = pack(to_information(belief)), pack(Information(vector, matrix))
-        return np.concatenate((*pairs, row), axis=-1)
+        return _hybrid(belief, pull, added, codes[..., 2 * length : -1] * _WEIGHT_STEP)
 
 
 def _belief_of(numbers: np.ndarray, states: int) -> Gaussian:
     return Gaussian(numbers[..., :states], unpack_upper(numbers[..., states:]))
+
+
+def _whitened(prior: Gaussian, novelty: Information) -> tuple[np.ndarray, np.ndarray]:
+    """Vector and matrix of a novelty in coordinates in which the prior is standard normal."""
+    factor = cholesky(prior.cov)
+    pull = multiply(factor.mT, novelty.vector - multiply(novelty.matrix, prior.mean))
+    return pull, factor.mT @ novelty.matrix @ factor
+
+
+def _hybrid(prior: Gaussian, pull: np.ndarray, added: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Prior information, the novelty that `_whitened` makes (pull, added) of, and the row."""
+    whitener = inverse_of_triangle(cholesky(prior.cov))
+    matrix = whitener.mT @ added @ whitener
+    matrix = 0.5 * (matrix + matrix.mT)
+    vector = multiply(whitener.mT, pull) + multiply(matrix, prior.mean)
+    pairs = pack(to_information(prior)), pack(Information(vector, matrix))
+    return np.concatenate((*pairs, row), axis=-1)
 
 
 def _rounded_up(values: np.ndarray) -> np.ndarray:

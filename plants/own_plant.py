@@ -115,6 +115,11 @@ class OwnSensor:
         """Covariance (m, m) of the noise."""
         return covariance_of("R", self.R, np.atleast_1d(np.asarray(self.R)).shape[0])
 
+    @property
+    def noise_std(self) -> np.ndarray:
+        """Standard deviation (m,) of the noise of each entry."""
+        return np.sqrt(np.maximum(np.diagonal(self.noise_cov), 0))
+
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Readings (..., m) of states (..., n), without noise."""
         return np.asarray(self.h(state), dtype=float)

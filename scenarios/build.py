@@ -146,6 +146,7 @@ def rule_context(setup: Setup, contends: bool) -> RuleContext:
         scenario.rule,
         contends,
         models_of(scenario.filter),
+        definition_of(scenario).origin(scenario),
     )
 
 
@@ -158,8 +159,8 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
     sensors = tuple(definition.sensor(scenario, node) for node in range(scenario.nodes))
     groups = definition.sensor_groups(scenario)
-    late = definition.late_steps(scenario)
-    return Everybody(scenario, schedule, sensors, groups, (readings, channels), late)
+    late, origin = definition.late_steps(scenario), definition.origin(scenario)
+    return Everybody(scenario, schedule, sensors, groups, (readings, channels), late, origin)
 
 
 def build_environment(setup: Setup, standing: Standing = UNCHANGED) -> EnvironmentConfig:

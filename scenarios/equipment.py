@@ -46,7 +46,8 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         number = "" if rule.share is None else wire_number(scenario)
         if rule.share is not None and rule.shares_beliefs:
             states, models = len(setup.prior_mean), models_of(scenario.filter)
-            form = rule.share.codec(number, states, scenario.nodes, models).form
+            origin = definition_of(scenario).origin(scenario)
+            form = rule.share.codec(number, states, scenario.nodes, models, origin).form
             codec = BeliefCodec(stacked_size(states, models), number, form)
     clocks, sync = None, ()
     if isinstance(bus, KeepsClocks):

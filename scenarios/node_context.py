@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 class Everybody(NamedTuple):
     """Knowledge that all nodes have of all nodes.
 
-    `sensors` has one entry per node, and `groups` the same with one value for nodes that are alike;
-    readings of each are of shape `readings_shape` (r, d); `late_steps` as in `WindowFilter`.
+    `sensors` has one entry per node, and `groups` the same with one value for nodes that are alike.
+    Readings of each are of shape `readings_shape` (r, d). `late_steps` is as in `WindowFilter`,
+    `origin` as in `RuleContext`.
     """
 
     scenario: Scenario
@@ -30,6 +31,7 @@ class Everybody(NamedTuple):
     groups: tuple[SensorGroup, ...]
     readings_shape: tuple[int, int]
     late_steps: tuple[int, ...] = ()
+    origin: np.ndarray | None = None
 
 
 class Beginning(NamedTuple):
@@ -48,7 +50,7 @@ class RuleContext(NamedTuple):
 
     `neighbours` are those that each node of the network hears; `number` is "<f8" or "<f4"; `rule`
     is that of the scenario; without `contends` no node asks for dynamic slots. A belief is of so
-    many `models`.
+    many `models`. Numbers on the wire are of states about the `origin` (n,); None for zero.
     """
 
     states: int
@@ -59,6 +61,7 @@ class RuleContext(NamedTuple):
     rule: FusionRule = CovarianceIntersection()
     contends: bool = True
     models: int = 1
+    origin: np.ndarray | None = None
 
 
 class NodeContext(NamedTuple):

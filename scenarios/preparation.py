@@ -162,8 +162,10 @@ def _check_reach(setup: Setup) -> None:
     """
     if number_of(setup.scenario.rule) != "float16":
         return
+    origin = definition_of(setup.scenario).origin(setup.scenario)
+    means = np.array(setup.prior_mean) - (0.0 if origin is None else origin)
     deviations = np.sqrt(np.diagonal(setup.prior_cov))
-    for state, (mean, deviation) in enumerate(zip(setup.prior_mean, deviations, strict=True)):
+    for state, (mean, deviation) in enumerate(zip(means, deviations, strict=True)):
         if abs(mean) > MEAN_REACH * deviation:
             raise ValueError(
                 f"--number float16: state {state} begins at {mean:g} with a standard deviation of "

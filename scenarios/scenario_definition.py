@@ -152,6 +152,8 @@ class ScenarioDefinition(NamedTuple):
         explain: (setup, beliefs (R, S, n) of the filter that hears everything, steps that count (R,
             S)) -> what the plant's own data tell of R runs.
         node_names: of all nodes; empty where numbers are their names.
+        origin: a point (n,) near the states, the same for all runs, about which shares and readings
+            are written; None for zero.
     """
 
     defaults: Scenario
@@ -177,6 +179,7 @@ class ScenarioDefinition(NamedTuple):
     page: str = ""
     explain: Callable[[Setup, Gaussian, np.ndarray], Explanation] = lambda *_: Explanation()
     node_names: tuple[str, ...] = ()
+    origin: Callable[[Scenario], np.ndarray | None] = lambda _: None
 
     def wiring(self, scenario: Scenario) -> NetworkWiring | None:
         """The wiring of the scenario's rule; None where every node filters and fuses.

@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled.frame import MAX_WINDOW_STEPS
+from concord.nodes.rules.labelled.record_codec import Calibrated
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of
@@ -23,6 +24,7 @@ from concord.scenarios.types.rules import (
     TrimmedCovarianceIntersection,
     WeightedAverage,
     hold_of,
+    number_of,
 )
 from concord.scenarios.types.schedules import (
     URGENCY,
@@ -39,6 +41,10 @@ from concord.topology.weights import Weights, from_per_node
 # Numerical derivatives put an eigenvalue of 1 a little beside it.
 _MARGIN = 1e-6
 _DISAGREEMENT = 0.01
+# Deviations of a reading from that of the origin within which a format rounds little.
+_REACH_OF_RECORDS = {"int12": 511, "int16": 2047, "float32": 16_384}
+_REACH_OF_BELIEFS = {"float16": 1023, "float32": 2**18}
+_MOST_PREDICTED = 10_000
 # Written slots repeat within the cycle counter.
 _CYCLES = 64
 
@@ -66,6 +72,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
         *_ideal_relay(setup),
         *_ideal_arbiter(setup),
         *_starving_order(setup),
+        *_beyond_reach(setup),
     )
 
 
@@ -314,3 +321,30 @@ def _transition_matrix(setup: Setup) -> np.ndarray:
     ahead = model.transition(mean + np.diag(step), None, 0)
     behind = model.transition(mean - np.diag(step), None, 0)
     return ((ahead - behind) / (2 * step)[:, None]).T
+
+
+def _beyond_reach(setup: Setup) -> Iterator[str]:
+    """Readings of a plant of the user's own that move far from where numbers are written about."""
+    scenario = setup.scenario
+    definition, number = definition_of(scenario), number_of(scenario.rule)
+    origin, floods = definition.origin(scenario), isinstance(scenario.rule, FloodingRule)
+    reach = (_REACH_OF_RECORDS if floods else _REACH_OF_BELIEFS).get(number)
+    if origin is None or reach is None or definition.controller(scenario) is not None:
+        return
+    sensors = {definition.sensor(scenario, node) for node in range(scenario.nodes)} - {None}
+    model, state = definition.model(scenario), origin
+    for step in range(min(scenario.steps, _MOST_PREDICTED)):
+        for sensor in sensors:
+            assert isinstance(sensor, Calibrated), "sensors of own plants say their noise"
+            away = np.abs(sensor.residual(sensor.measure(state, step), sensor.measure(origin, 0)))
+            if (away > reach * sensor.noise_std).any() and (sensor.noise_std > 0).all():
+                what = "are sent as float64" if floods else "lose digits, which covariances count"
+                option = "record-number" if floods else "number"
+                yield (
+                    f"--{option} {number}: from step {step} on readings are more than {reach:,} "
+                    "standard deviations of their noise away from those of the prior mean, about "
+                    f"which numbers are written; they {what}; use --{option} float64, or a prior "
+                    "mean nearer to the middle of the motion"
+                )
+                return
+        state = model.transition(state, None, step)

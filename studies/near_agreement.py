@@ -2,11 +2,13 @@
 
 Sums in another order differ in their last bits, so equality here means equality to 1e-10 of the
 scale. The scale of a mean is its size or its standard deviation. The scale of a covariance is the
-product of its standard deviations. A set may be as narrow as the rounding of its centre. The scale
-of its shape is that product with one factor no smaller than the centre (`scale_of_cov`).
+product of its standard deviations. Both grow where a state is so far from zero that rounding of
+doubles is more than that (`_distance`). A set may be as narrow as the rounding of its centre. The
+scale of its shape is that product with one factor no smaller than the centre (`scale_of_cov`).
 
 Sets that travel as float32 are first enlarged by half a unit of that number. A set that came so and
 is sent on then lies between two such numbers, where the last bit of a sum chooses one of both.
+Rounding of doubles chooses so for beliefs that are far from zero.
 """
 
 import numpy as np
@@ -19,14 +21,15 @@ from concord.scenarios.setup import Setup
 from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
 
 _SUMS, _FLOAT32 = 1e-10, 1e-6
+_DOUBLE = float(np.finfo(float).eps)
 # A value that is zero up to rounding takes the scale of its neighbours.
 _LEAST = 1e-3
 
 
-def tolerance_of(setup: Setup) -> float:
-    """The part of the scale by which the batched driver may depart."""
+def tolerance_of(setup: Setup, is_far: bool = False) -> float:
+    """The part of the scale by which the batched driver may depart; `is_far` from zero."""
     scenario = setup.scenario
-    is_coarse = is_set_valued(scenario) and wire_number(scenario) == "<f4"
+    is_coarse = wire_number(scenario) == "<f4" and (is_far or is_set_valued(scenario))
     return _FLOAT32 if is_coarse else _SUMS
 
 
@@ -41,6 +44,9 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
     assert histories.readings is not None
     assert histories.cov is not None and histories.ages is not None
     sd = np.sqrt(np.abs(np.diagonal(trace.cov, axis1=-2, axis2=-1)))
+    distance = 1.0 if is_set_valued(setup.scenario) else _distance(trace.mean, sd)
+    distance = np.broadcast_to(distance, (*trace.mean.shape[:-1], 1))
+    tolerance = tolerance_of(setup, bool((distance > 1).any()))
     compared = {
         "truth": (trace.truth, histories.truth[0], np.abs(trace.truth)),
         "readings": (trace.readings, histories.readings[0], np.abs(trace.readings)),
@@ -66,13 +72,14 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
     )
     if own is not None and histories.innovations is not None:
         std = np.sqrt(np.abs(np.diagonal(own.cov[0], axis1=-2, axis2=-1)))
-        scale = np.maximum(np.abs(own.value[0]), np.nan_to_num(std))
+        far = distance[..., None]
+        scale = far * np.maximum(np.abs(own.value[0]), np.nan_to_num(std))
         compared["innovation"] = (own.value[0], histories.innovations.value[0], scale)
-        scale = std[..., :, None] * std[..., None, :]
+        scale = far[..., None] * std[..., :, None] * std[..., None, :]
         compared["innovation_cov"] = (own.cov[0], histories.innovations.cov[0], scale)
     found = {}
     for name, (expected, value, scale) in compared.items():
-        departs = np.argwhere(_departs(expected, value, scale, tolerance_of(setup)))
+        departs = np.argwhere(_departs(expected, value, scale, tolerance))
         if len(departs):
             where = tuple(departs[0])
             found[name] = (departs[0], expected[where], value[where])
@@ -88,17 +95,28 @@ def scale_of_mean(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
 
     An exact reading hands the rounding of its largest state to each state of a set.
     """
-    scale = np.maximum(np.abs(mean), sd)
     if not is_set_valued(setup.scenario):
-        return scale
+        return np.maximum(np.abs(mean), sd * _distance(mean, sd))
+    scale = np.maximum(np.abs(mean), sd)
     return np.broadcast_to(scale.max(-1, keepdims=True), scale.shape)
 
 
 def scale_of_cov(setup: Setup, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Scale (..., n, n) of covariances with these standard deviations (..., n), or of shapes."""
-    least = scale_of_mean(setup, mean, sd) if is_set_valued(setup.scenario) else sd
+    if not is_set_valued(setup.scenario):
+        return _distance(mean, sd)[..., None] * sd[..., :, None] * sd[..., None, :]
+    least = scale_of_mean(setup, mean, sd)
     one = sd[..., :, None] * least[..., None, :]
     return np.maximum(one, np.swapaxes(one, -1, -2))
+
+
+def _distance(mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """How often the rounding of the farthest state is that of sums, (..., 1); 1 near zero.
+
+    Sigma points share the rounding of their centre, and hand it to all states.
+    """
+    away = np.abs(mean) / np.where(sd > 0, sd, np.inf)
+    return np.maximum(1.0, _DOUBLE / _SUMS * away.max(axis=-1, keepdims=True))
 
 
 _exact = np.zeros(())

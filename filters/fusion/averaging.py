@@ -22,6 +22,32 @@ from concord.filters.fusion.packed import (
 from concord.filters.gaussian import Gaussian, Information, joined
 from concord.filters.linalg import cholesky, inverse_of_triangle, inverse_spd, multiply, symmetrise
 
+# Variances of which the ratio is below this leave a sum about either mean its digits.
+_ALIKE = 1e8
+
+
+def near_sharpest(
+    means: np.ndarray, inverse_volumes: np.ndarray, weights: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """A point (..., n) about which an average of means (..., J, n) loses few digits.
+
+    The first mean; but where another belief with a weight (..., J) is far sharper, as
+    `inverse_volumes` (..., J) say, the mean of the sharpest. A sum of differences to a mean that is
+    far off loses what the sharp ones know.
+    """
+    least, most = (
+        reduce(inverse_volumes, axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce)
+    )
+    if not most > _ALIKE * least:
+        return means[..., 0, :]
+    volumes = np.where((weights > 0) & ~np.isnan(inverse_volumes), inverse_volumes, 0.0)
+    is_far = volumes.max(axis=-1) > _ALIKE * volumes[..., 0]
+    if not is_far.any():
+        return means[..., 0, :]
+    sharpest = np.argmax(volumes, axis=-1)[..., None, None]
+    found = np.take_along_axis(means, sharpest, axis=-2)[..., 0, :]
+    return np.where(is_far[..., None], found, means[..., 0, :])
+
 
 class Fused(NamedTuple):
     """Result of averaging a node's own belief with the beliefs of J others.
@@ -95,10 +121,21 @@ class Averaging:
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Implement `Averaged.fuse`."""
-        numbers, sharp = self.to_numbers(joined(own, others), own.mean[..., None, :])
+        numbers, origin, sharp = self.numbers_of(joined(own, others), weights)
         used = times_inverse_volume(weights, sharp) if by_inverse_volume else weights
-        mean, cov = self.average(numbers, used, own.mean)
+        mean, cov = self.average(numbers, used, origin)
         return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
+
+    def numbers_of(
+        self, beliefs: Gaussian, weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers (..., J, m) of beliefs (..., J, n), their origin (..., n), inverse volumes."""
+        first = beliefs.mean[..., 0, :]
+        numbers, sharp = self.to_numbers(beliefs, first[..., None, :])
+        origin = near_sharpest(beliefs.mean, sharp, weights)
+        if (origin != first).any():
+            numbers, sharp = self.to_numbers(beliefs, origin[..., None, :])
+        return numbers, origin, sharp
 
 
 class _Intersection(Averaging):
@@ -117,7 +154,8 @@ class _Intersection(Averaging):
         sharp = inverse_volume_of_factor(factor)
         used = times_inverse_volume(weights, sharp) if by_inverse_volume else weights
         rows = np.sqrt(used)[..., None, None] * inverse_of_triangle(factor)
-        offsets = means - own.mean[..., None, :]
+        origin = near_sharpest(means, sharp, used)
+        offsets = means - origin[..., None, :]
         if np.count_nonzero(used) < used.size:
             # 0 * NaN would let them through.
             unused = (used == 0)[..., None]
@@ -127,7 +165,7 @@ class _Intersection(Averaging):
         stack = rows.reshape(*means.shape[:-2], -1, n)
         whitened = multiply(rows, offsets).reshape(*stack.shape[:-1])
         cov = inverse_spd(stack.mT @ stack)
-        mean = own.mean + multiply(cov, multiply(stack.mT, whitened))
+        mean = origin + multiply(cov, multiply(stack.mT, whitened))
         return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
 
 
@@ -206,8 +244,7 @@ INFORMATION = _Intersection(
 def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     check_weights(weights)
     beliefs = _without_unweighted(beliefs, weights)
-    origin = beliefs.mean[..., 0, :]
-    numbers, _ = rule.to_numbers(beliefs, origin[..., None, :])
+    numbers, origin, _ = rule.numbers_of(beliefs, weights)
     return rule.average(numbers, weights, origin)
 
 

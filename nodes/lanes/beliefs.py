@@ -6,6 +6,7 @@ expressed in them once, and not by each node that hears it. Between the rounds o
 beliefs stay such numbers too, where no caller asks for the beliefs.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.filter import begun, moments
-from concord.filters.fusion.averaging import INFORMATION, Averaging
+from concord.filters.fusion.averaging import INFORMATION, Averaging, near_sharpest
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.filter import (
     Counters,
@@ -144,10 +145,10 @@ class BatchedBeliefs:
             if self.hold.carried:
                 published = published.carried(self.filters, control, step)
         belief, memory, failures = self.filters.update(belief, readings, step, content.memory)
-        origin = belief.mean.mean(axis=1, keepdims=True)
+        own, origin = _about_a_middle(self._expressed, belief)
         return content._replace(
             belief=belief,
-            own=self._expressed(belief, origin),
+            own=own,
             origin=origin,
             published=published,
             step=step,
@@ -289,6 +290,19 @@ class BatchedBeliefs:
 
     def spread(self, content: BatchedContent) -> None:
         """Shares have one length."""
+
+
+def _about_a_middle(
+    express: Callable[[Gaussian, np.ndarray], Numbers], belief: Gaussian
+) -> tuple[Numbers, np.ndarray]:
+    """The numbers of beliefs (R, N, n), and their origin (R, 1, n): the mean of all, or of a node
+    that is far sharper than others."""
+    middle = belief.mean.mean(axis=1, keepdims=True)
+    numbers = express(belief, middle)
+    least = np.nan_to_num(numbers.inverse_volume, nan=np.inf).min(axis=1, keepdims=True)
+    sharp = np.concatenate((least, numbers.inverse_volume), axis=1)
+    origin = near_sharpest(np.concatenate((middle, belief.mean), axis=1), sharp)[:, None]
+    return (numbers, middle) if (origin == middle).all() else (express(belief, origin), origin)
 
 
 def _usable(own: Numbers, mixing: Mixing, values: np.ndarray) -> np.ndarray:

@@ -156,8 +156,8 @@ class BatchedFlooding:
         records, body_bytes = self._chosen(content, runs, nodes)
         owed, count = content.owed[runs, nodes], np.bitwise_count(records).sum(axis=(1, 2))
         base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
-        number = self.frames.belief.number
-        checkpoint, sound = as_sent(base, number) if owed.any() else (base, owed)
+        codec = self.frames.belief
+        checkpoint, sound = as_sent(base, codec) if owed.any() else (base, owed)
         carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()
         turn = (content.cycle - self.first_cycle) % self.rounds
         for kind, values in enumerate((body_bytes, owed, count)):
@@ -180,7 +180,7 @@ class BatchedFlooding:
             self.frames.costs(content.kept.lengths[runs]),
             room,
         )
-        return records, self.frames.limit_bytes - room + taken
+        return records, self.frames.limits(owed) - room + taken
 
     def _heard(
         self, content: BatchedLabelledContent, shares: Shared, came: Came

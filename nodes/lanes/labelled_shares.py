@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import cholesky, pack_upper, unpack_upper
-from concord.nodes.lanes.filter import received
+from concord.filters.linalg import cholesky
 from concord.nodes.lanes.links import Links
 from concord.nodes.rules.labelled.record_sets import RecordSets
 from concord.nodes.rules.local_filter import finite_lanes
+from concord.nodes.vector_codec import BeliefCodec, belief_numbers, belief_of
 
 
 class Shared(NamedTuple):
@@ -42,8 +42,7 @@ def came_over(links: Links, shares: Shared, arriving: np.ndarray) -> Came:
     return Came(runs, over, lanes[runs, links.sender[over]])
 
 
-def as_sent(base: Gaussian, number: str) -> tuple[Gaussian, np.ndarray]:
+def as_sent(base: Gaussian, codec: BeliefCodec) -> tuple[Gaussian, np.ndarray]:
     """Return the decoded checkpoints of bases (L, n), and which can be read (L,)."""
-    mean, packed_cov = (received(values, number) for values in (base.mean, pack_upper(base.cov)))
-    checkpoint = Gaussian(mean, unpack_upper(packed_cov))
-    return checkpoint, finite_lanes(Gaussian(mean, cholesky(checkpoint.cov)))
+    checkpoint = belief_of(codec.vector.received(belief_numbers(base)), codec.states)
+    return checkpoint, finite_lanes(Gaussian(checkpoint.mean, cholesky(checkpoint.cov)))

@@ -88,15 +88,23 @@ FreshContent = LaneContent[FreshOwn, LastUsed]
 
 @dataclass(frozen=True)
 class FreshConsensus:
-    """The rules that exchange fresh shares, as a `LaneRule`."""
+    """The rules that exchange fresh shares, as a `LaneRule`.
+
+    Nodes exchange numbers of states about the `origin` (n,), which all know; None for zero.
+    """
 
     exchange: Exchange
     trigger: float = 0.0
     contends: bool = True
+    origin: np.ndarray | None = None
+
+    def _about(self, belief: Gaussian) -> Gaussian:
+        """The belief about the origin, which keeps the digits of the information's vector."""
+        return belief if self.origin is None else belief._replace(mean=belief.mean - self.origin)
 
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> FreshContent:
         """The prior, and neighbours never heard."""
-        known = self.exchange.begin(node, prior, prior)
+        known = self.exchange.begin(node, self._about(prior), self._about(prior))
         own = FreshOwn(prior, prior, known, nothing_published(prior))
         return LaneContent(own, LastUsed(np.full(held.mean.shape[:-1], -1)), 0)
 
@@ -113,7 +121,7 @@ class FreshConsensus:
             if others:
                 published = published.moved(others[0])
         belief, memory, failed = now.update(prior, content.memory)
-        known = self.exchange.begin(node, prior, belief)
+        known = self.exchange.begin(node, self._about(prior), self._about(belief))
         own = FreshOwn(prior, belief, known, published)
         return LaneContent(own, content.held, 0, memory), {**failures, **failed}
 
@@ -123,7 +131,8 @@ class FreshConsensus:
 
     def say(self, content: FreshContent) -> np.ndarray:
         """Return the content to share in this round."""
-        return self.exchange.say(content.cycles_in_step, content.own.known, content.own.belief)
+        belief = self._about(content.own.belief)
+        return self.exchange.say(content.cycles_in_step, content.own.known, belief)
 
     def sent(self, content: FreshContent, sends: np.ndarray) -> FreshContent:
         """The node remembers what it believed then."""
@@ -143,26 +152,26 @@ class FreshConsensus:
         """One round of the rule with what was heard, in sender order."""
         own, _, cycle, _ = content
         failures: dict[str, np.ndarray] = {}
-        usable = self.exchange.usable(own.prior, np.where(heard[..., None], shares, 0.0))
+        prior, belief = self._about(own.prior), self._about(own.belief)
+        usable = self.exchange.usable(prior, np.where(heard[..., None], shares, 0.0))
         if usable is not None and (refused := heard & ~usable).any():
             failures = {"rejected unsound": refused.sum(axis=-1)}
             heard = heard & usable
         everyone = np.concatenate(
             (self.say(content)[..., None, :], np.where(heard[..., None], shares, np.nan)), axis=-2
         )
-        known, belief = self.exchange.fuse(
-            cycle, place.weights, own.prior, own.known, own.belief, everyone
-        )
+        known, belief = self.exchange.fuse(cycle, place.weights, prior, own.known, belief, everyone)
         content, failed = self.settled(content, known, belief, heard)
         return content, {**failures, **failed}
 
     def settled(
         self, content: FreshContent, known: np.ndarray, belief: Gaussian, heard: np.ndarray
     ) -> tuple[FreshContent, Failures]:
-        """The content after a round that came to this, where it is a belief; `heard` as in `fuse`,
-        or (R, E) of links."""
+        """The content after a round that came to this about the origin, where it is a belief;
+        `heard` as in `fuse`, or (R, E) of links."""
         own, (ages,), cycle, _ = content
-        belief = Gaussian(belief.mean, symmetrise(belief.cov))
+        mean = belief.mean if self.origin is None else belief.mean + self.origin
+        belief = Gaussian(mean, symmetrise(belief.cov))
         sound = believable(belief)
         own = own._replace(
             belief=where(sound, belief, own.belief),

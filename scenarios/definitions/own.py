@@ -66,6 +66,7 @@ def own_scenario(
         sensor=lambda scenario, node: truth(scenario.nodes).sensors[node],
         score=score,
         radio_range_m=radio_range_m,
+        origin=lambda _: plant.prior_mean,
     )
     return user_definition(kept_source(definition)).defaults
 

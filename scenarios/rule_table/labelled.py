@@ -1,8 +1,9 @@
 """The rule `labelled` in a scenario: the knowledge common to all nodes, and the refused cases."""
 
 from collections.abc import Sequence
+from functools import partial
 from math import ceil
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -17,11 +18,18 @@ from concord.nodes.rules.labelled.frame import (
     least_limit,
 )
 from concord.nodes.rules.labelled.record_choice import RecordChoice
-from concord.nodes.rules.labelled.record_codec import PACKED, reading_bytes, record_codec
+from concord.nodes.rules.labelled.record_codec import (
+    PACKED,
+    Calibrated,
+    reading_bytes,
+    record_codec,
+)
 from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.bus_table.bus_definition import frame_format
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filter_table.filters import learns
 from concord.scenarios.node_context import Everybody
+from concord.scenarios.rule_table.rule import BELIEFS
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import FlexRay
@@ -58,14 +66,26 @@ def frame_codec(
         ValueError: a share cannot hold what it must.
     """
     scenario = everybody.scenario
-    number = RECORD_NUMBERS[flooding_of(scenario).record_number]
+    number, origin = RECORD_NUMBERS[flooding_of(scenario).record_number], everybody.origin
     return LabelledFrameCodec(
-        [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
-        BeliefCodec(states, flooding_of(scenario).checkpoint_number),
+        [
+            record_codec(sensor, everybody.readings_shape, number, origin)
+            for sensor in everybody.sensors
+        ],
+        checkpoint_codec(scenario, states, origin),
         window_of(scenario, neighbours),
         digest_of(scenario),
-        largest_share(scenario, states),
+        *share_limits(scenario, states),
     )
+
+
+def checkpoint_codec(
+    scenario: Scenario, states: int, origin: np.ndarray | None = None
+) -> BeliefCodec:
+    """How the beliefs are written that begin a window."""
+    number = flooding_of(scenario).checkpoint_number
+    codec = BELIEFS.codec(number, states, scenario.nodes, origin=origin)
+    return BeliefCodec(states, number, codec.form)
 
 
 def choice_of(scenario: Scenario, frames: LabelledFrameCodec) -> RecordChoice:
@@ -80,24 +100,59 @@ def choice_of(scenario: Scenario, frames: LabelledFrameCodec) -> RecordChoice:
     )
 
 
+class ShareLimits(NamedTuple):
+    """Most bytes of a share, and of one with a checkpoint."""
+
+    usual: int
+    longest: int
+
+
 def largest_share(scenario: Scenario, states: int) -> int:
-    """Length in bytes of the longest share: what one frame holds beside its numbers.
+    """Length in bytes of the longest share.
 
     Raises:
-        ValueError: it does not hold a checkpoint of so many states.
+        ValueError: as `share_limits`.
     """
-    form, checkpoint = (
-        frame_format(scenario),
-        BeliefCodec(states, flooding_of(scenario).checkpoint_number).size,
-    )
-    asked = flooding_of(scenario).payload_bytes
-    most = _USUAL_PAYLOAD_BYTES if asked is None else asked
-    limit = most - form.numbering_bytes
-    check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
-    if asked is not None or isinstance(scenario.bus.schedule, DynamicSchedule):
-        return limit
-    content = max(checkpoint, _expected_need(scenario), _LEAST_CONTENT_BYTES)
-    return min(limit, least_limit(scenario.nodes, digest_of(scenario), content))
+    return share_limits(scenario, states).longest
+
+
+def share_limits(scenario: Scenario, states: int) -> ShareLimits:
+    """Return the limits of shares: what one frame holds beside its numbers.
+
+    A record or a checkpoint that no frame holds makes shares of several frames. Where nodes own
+    static slots, all shares have one length; elsewhere those with a checkpoint alone are longer.
+
+    Raises:
+        ValueError: frames as short as asked for hold no checkpoint of so many states, and longer
+            ones would.
+    """
+    form, asked = frame_format(scenario), flooding_of(scenario).payload_bytes
+    checkpoint, record = checkpoint_codec(scenario, states).size, _longest_record(scenario)
+    least = partial(least_limit, scenario.nodes, digest_of(scenario))
+    most = (_USUAL_PAYLOAD_BYTES if asked is None else asked) - form.numbering_bytes
+    if least(max(checkpoint, record)) <= _USUAL_PAYLOAD_BYTES - form.numbering_bytes:
+        check_limit(most, scenario.nodes, digest_of(scenario), max(checkpoint, record))
+    if asked is None and not isinstance(scenario.bus.schedule, DynamicSchedule):
+        content = max(checkpoint, record, _expected_need(scenario), _LEAST_CONTENT_BYTES)
+        limit = max(min(most, least(content)), least(max(checkpoint, record)))
+        return ShareLimits(limit, limit)
+    usual, in_frame = max(most, least(record)), form.payload_limit_bytes - form.numbering_bytes
+    frames = ceil(least(checkpoint) / in_frame)
+    return ShareLimits(usual, usual if least(checkpoint) <= usual else frames * in_frame)
+
+
+def _longest_record(scenario: Scenario) -> int:
+    """Bytes of the longest record of one reading, with its label, of sensors that say their noise.
+
+    Others, and several readings in a step, must do with the share that there is.
+    """
+    definition, number = definition_of(scenario), flooding_of(scenario).record_number
+    sizes = [0]
+    for sensor in {definition.sensor(scenario, node) for node in range(scenario.nodes)}:
+        if isinstance(sensor, Calibrated):
+            codec = record_codec(sensor, (1, np.size(sensor.noise_std)), RECORD_NUMBERS[number])
+            sizes.append(0 if codec is None else codec.size_max)
+    return labelled_bytes(max(sizes))
 
 
 def _expected_need(scenario: Scenario) -> int:
@@ -139,8 +194,9 @@ def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
     # Elsewhere a share may take several frames, of which a link loses each by itself.
     bus, lossy = scenario.bus, lossy_links(scenario) or bool(scenario.changes) * "--changes"
-    limit = frame_format(scenario).payload_limit_bytes
-    if lossy and (flooding_of(scenario).payload_bytes or _USUAL_PAYLOAD_BYTES) > limit:
+    form = frame_format(scenario)
+    if lossy and _longest_payload(scenario) > form.payload_limit_bytes:
+        limit = form.payload_limit_bytes
         return f"rule labelled on --bus {bus.name} with frames of {limit} bytes and {lossy}"
     if lossy and isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
         return f"rule labelled on --cluster {bus.cluster} with {lossy}"
@@ -148,6 +204,17 @@ def without_arrays(scenario: Scenario) -> str | None:
         # Windows of one network would begin at different steps.
         return "rule labelled where nodes come back (--changes restart)"
     return None
+
+
+def _longest_payload(scenario: Scenario) -> int:
+    """Bytes of a frame that would hold the longest share."""
+    usual = flooding_of(scenario).payload_bytes or _USUAL_PAYLOAD_BYTES
+    definition = definition_of(scenario)
+    if definition.wirings:
+        return usual
+    states = len(definition.plant(scenario).state_names)
+    longest = largest_share(scenario, states) + frame_format(scenario).numbering_bytes
+    return max(usual, longest)
 
 
 def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:

@@ -24,12 +24,15 @@ from concord.filters.fusion.packed import packed_length
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.share_forms import (
+    AboutOrigin,
+    InformationPair,
     ShareForm,
     SingleBelief,
+    SingleHybrid,
+    SingleNovelty,
     StackedBelief,
     TwoByteBelief,
     TwoByteHybrid,
-    TwoByteInformation,
 )
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.node_context import RuleContext
@@ -49,19 +52,31 @@ class ShareKind(NamedTuple):
         what: its name in reports of shares that cannot be used.
         length: how many numbers are in a share, for so many states and nodes.
         forms: its form by type code; a float type without one is written number by number.
+        has_mean: it begins with the mean of the states, which a form writes about their origin.
+            Other rules compute with states about it.
     """
 
     what: str
     length: Callable[[int, int], int]
     forms: Mapping[str, FormOf] = {}
+    has_mean: bool = False
 
-    def codec(self, number: str, states: int, nodes: int, models: int = 1) -> VectorCodec:
+    def codec(
+        self,
+        number: str,
+        states: int,
+        nodes: int,
+        models: int = 1,
+        origin: np.ndarray | None = None,
+    ) -> VectorCodec:
         """How a share is written; of beliefs of several models, all that is not known of it."""
         if models > 1:
             stacked = StackedBelief(states, models, number == "<f4")
             return VectorCodec(packed_length(stacked.size), number, self.what, stacked)
         form = self.forms.get(number)
         made = None if form is None else form(states, nodes)
+        if made is not None and self.has_mean and origin is not None:
+            made = AboutOrigin(made, origin)
         return VectorCodec(self.length(states, nodes), number, self.what, made)
 
     def has(self, number: str) -> bool:
@@ -73,19 +88,28 @@ BELIEFS = ShareKind(
     "belief",
     lambda states, _: packed_length(states),
     {"<f4": lambda states, _: SingleBelief(states), "<u2": lambda states, _: TwoByteBelief(states)},
+    has_mean=True,
 )
 INFORMATION_PAIRS = ShareKind(
     "share",
     lambda states, _: packed_length(states),
-    {"<u2": lambda states, _: TwoByteInformation(states)},
+    {
+        "<f4": lambda states, _: InformationPair(SingleBelief(states)),
+        "<u2": lambda states, _: InformationPair(TwoByteBelief(states)),
+    },
 )
 HYBRID = ShareKind(
     "share",
     lambda states, nodes: 2 * packed_length(states) + nodes,
-    {"<u2": TwoByteHybrid},
+    {"<f4": SingleHybrid, "<u2": TwoByteHybrid},
 )
-NOVELTIES = ShareKind("share", lambda states, _: packed_length(states))
-NOVELTIES_AND_MEANS = ShareKind("share", lambda states, _: packed_length(states) + states)
+_SINGLE_NOVELTY: Mapping[str, FormOf] = {"<f4": lambda states, _: SingleNovelty(states)}
+NOVELTIES = ShareKind("share", lambda states, _: packed_length(states), _SINGLE_NOVELTY)
+NOVELTIES_AND_MEANS = ShareKind(
+    "share",
+    lambda states, _: packed_length(states) + states,
+    {"<f4": lambda states, _: SingleNovelty(states, states)},
+)
 
 
 class Rule(NamedTuple):
@@ -153,7 +177,8 @@ def once(
 
 def share_codec(share: ShareKind, context: RuleContext) -> VectorCodec:
     """How shares of a kind are written."""
-    return share.codec(context.number, context.states, len(context.neighbours), context.models)
+    nodes, origin = len(context.neighbours), context.origin
+    return share.codec(context.number, context.states, nodes, context.models, origin)
 
 
 def at_node(

@@ -357,7 +357,7 @@ def test_start_is_the_common_prior():
     assert estimator.ages(estimator.start()).tolist() == [-1, -1]
 
 
-def test_a_reading_that_no_integer_can_say_is_counted():
+def test_a_reading_that_follows_as_float64_is_counted():
     estimator = lone([1])
     codecs = [None, RecordCodec(1, 2, "<i2", np.full(2, 1e-3)), None]
     estimator = replace(estimator, filter=replace(estimator.filter, codecs=codecs))

@@ -12,6 +12,7 @@ from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, Lab
 from concord.nodes.rules.labelled.record_codec import PACKED, RecordCodec, record_codec
 from concord.nodes.rules.labelled.record_sets import packed
 from concord.nodes.vector_codec import BeliefCodec
+from concord.plants.own_plant import OwnSensor
 from concord.plants.range_bearing import RangeBearing
 from tests.nodes.networks import random_cov
 
@@ -61,25 +62,67 @@ def test_rounding_has_the_variance_that_everybody_adds(number: str):
     assert (np.abs((errors**2).mean(0) / expected - 1) < deviation).all()
 
 
-@pytest.mark.parametrize("number, deviations", [("<i2", 32767 / 16), (PACKED, 2047 / 4)])
-def test_an_entry_beyond_the_integer_is_not_taken(number: str, deviations: float):
-    codec = codec_for(number)
-    assert codec.resolution is not None
+@pytest.mark.parametrize(
+    "number, deviations", [("<i2", 32765 / 16), (PACKED, 2045 / 4), ("<f4", 2.0**14)]
+)
+@pytest.mark.parametrize("readings", [1, 3])
+def test_a_reading_beyond_the_reach_follows_as_float64(
+    number: str, deviations: float, readings: int
+):
+    codec = codec_for(number, readings)
     most = deviations * SENSOR.noise_std[0]
-    record = codec.encode(np.array([[most * 1.01, 0.1]]))
-    assert codec.beyond(np.array([[most * 1.01, 0.1]])) == 1
-    assert codec.beyond(np.array([[most, np.nan]])) == 0
-    assert record is not None
-    assert np.isnan(codec.decode(record)[0, 0]) and codec.decode(record)[0, 1] == pytest.approx(
-        0.1, abs=codec.resolution[1] / 2
+    delivered = np.full((readings, 2), np.nan)
+    delivered[0] = most * 1.01, 0.1
+    delivered[-1, 0] = most * 1.02
+    record = codec.encode(delivered)
+    assert record is not None and len(record) == codec.length(record) <= codec.size_max
+    np.testing.assert_array_equal(codec.decode(record), delivered)
+    assert codec.beyond(delivered) == min(readings, 2)
+    found, length = codec.received(delivered)
+    np.testing.assert_array_equal(found, delivered)
+    assert length == len(record)
+    assert all(codec.length(record[:cut]) > cut for cut in range(len(record)))
+    near = np.full((readings, 2), np.nan)
+    near[0, 0] = most
+    assert codec.beyond(near) == 0
+
+
+@pytest.mark.parametrize("number", [PACKED, "<i2", "<f4"])
+@given(seed=SEEDS)
+def test_a_record_is_written_about_the_reading_of_the_origin(number: str, seed: int):
+    """A record loses as little far from zero, with an angle on both sides of pi."""
+    rng = np.random.default_rng(seed)
+    corner = np.array([5e5, 5.4e6])
+    sensor = OwnSensor(
+        h=lambda x: np.stack((x[..., 1], np.arctan2(x[..., 1], x[..., 0]) + np.pi), axis=-1),
+        R=[4e-4, 1e-6],
+        angles=(1,),
     )
-    assert codec.encode(np.array([[most * 1.01, np.nan]])) is None
+    codec = record_codec(sensor, (1, 2), number, corner)
+    assert codec is not None and codec.rounding_cov is not None
+    angle = np.arctan2(corner[1], corner[0]) + np.pi
+    taken = np.array([corner[1], angle]) + sensor.noise_std * rng.uniform(-400, 400, 2)
+    taken[1] = (taken[1] + np.pi) % (2 * np.pi) - np.pi
+    record = codec.encode(taken[None])
+    assert record is not None and len(record) < 16
+    off = sensor.residual(codec.decode(record)[0], taken)
+    step = np.sqrt(12 * np.diagonal(codec.rounding_cov))
+    assert (np.abs(off) <= step / 2 + 1e-9).all()
+    np.testing.assert_array_equal(codec.received(taken[None])[0], codec.decode(record))
+
+
+def test_a_sensor_with_an_exact_entry_sends_float64():
+    sensor = OwnSensor(h=lambda x: x[..., :2], R=[1.0, 0.0])
+    codec = record_codec(sensor, (1, 2), "<i2")
+    assert codec is not None and codec.number == "<f8" and codec.rounding_cov is None
+    taken = np.array([[0.1, 1e6 / 3]])
+    np.testing.assert_array_equal(codec.decode(codec.encode(taken) or b""), taken)
 
 
 def test_entries_that_no_sensor_of_a_node_has_are_not_written():
     """A delivery has room for the node with most; this one measures two of three."""
     padded = record_codec(SENSOR, (1, 3), "<i2")
-    assert padded is not None and padded.size_max == 4
+    assert padded is not None and padded.size_max == 4 + 16
     delivered = np.array([[100.0, 0.1, np.nan]])
     record = padded.encode(delivered)
     assert record is not None and padded.beyond(delivered) == 0
@@ -208,4 +251,4 @@ def test_a_record_of_the_digest_takes_a_bit_for_its_label():
 
 def test_a_frame_that_cannot_hold_a_checkpoint_is_refused_before_the_start():
     with pytest.raises(ValueError, match="--payload-bytes by 4 or more"):
-        frames(0, limit_bytes=19)
+        frames(0, limit_bytes=41)

@@ -15,11 +15,11 @@ from concord.filters.gaussian import Gaussian, Information, to_information
 from concord.filters.linalg import unpack_upper
 from concord.nodes.share_forms import (
     MEAN_REACH,
+    InformationPair,
     ShareForm,
     SingleBelief,
     TwoByteBelief,
     TwoByteHybrid,
-    TwoByteInformation,
 )
 from concord.nodes.vector_codec import belief_numbers, belief_of
 from concord.scenarios.catalogue import definition_named
@@ -110,7 +110,7 @@ def test_any_codes_are_numbers_or_not_finite(codes: np.ndarray):
     states, nodes = 3, 11
     found = [
         TwoByteBelief(states).numbers(codes[:9]),
-        TwoByteInformation(states).numbers(codes[:9]),
+        InformationPair(TwoByteBelief(states)).numbers(codes[:9]),
         TwoByteHybrid(states, nodes).numbers(codes),
     ]
     assert [len(numbers) for numbers in found] == [9, 9, 2 * 9 + nodes]
@@ -120,7 +120,7 @@ def test_any_codes_are_numbers_or_not_finite(codes: np.ndarray):
 @given(SIZES, SEEDS)
 def test_an_information_pair_loses_information(n: int, seed: int):
     belief = random_belief(np.random.default_rng(seed), n, farthest=2, sharpest=-2)
-    form = TwoByteInformation(n)
+    form = InformationPair(TwoByteBelief(n))
     before = to_information(belief).matrix
     after = unpack(form.numbers(form.codes(pack(to_information(belief))))).matrix
     scale = np.linalg.cholesky(belief.cov)

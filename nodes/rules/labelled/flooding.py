@@ -88,7 +88,7 @@ class LabelledFlooding:
     @property
     def share_bytes(self) -> int:
         """Length of the longest share."""
-        return self.frames.limit_bytes
+        return self.frames.longest_bytes
 
     def start(self) -> LabelledContent:
         """The common prior, and no record."""

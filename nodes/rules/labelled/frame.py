@@ -31,6 +31,8 @@ _NEED, _CHECKPOINT, _SUSPECT = 1, 2, 4
 _HEAD_BYTES = 2
 _LABEL_BYTES = 2
 _MAX_RECORDS = 255
+# Of a frame of FlexRay.
+_MOST_PAYLOAD_BYTES = 254
 
 
 _Count = TypeVar("_Count", int, np.ndarray)
@@ -62,10 +64,11 @@ class LabelledShare(NamedTuple):
 class LabelledFrameCodec:
     """How a share is written by any node of a network.
 
-    `codecs` has one entry per source, None for a node without a sensor.
+    `codecs` has one entry per source, None for a node without a sensor. A share has `limit_bytes`
+    at most; one with a checkpoint may be longer, up to `checkpoint_limit_bytes`.
 
     Raises:
-        ValueError: a share of `limit_bytes` does not hold a checkpoint, or not every record.
+        ValueError: a share does not hold a checkpoint, or not every record.
     """
 
     codecs: Sequence[RecordForm | None]
@@ -73,12 +76,21 @@ class LabelledFrameCodec:
     window_steps: int
     digest_steps: int
     limit_bytes: int
+    checkpoint_limit_bytes: int = 0
 
     def __post_init__(self) -> None:
-        longest = _LABEL_BYTES + max((codec.size_max for codec in self.codecs if codec), default=0)
-        check_limit(
-            self.limit_bytes, len(self.codecs), self.digest_steps, max(self.belief.size, longest)
-        )
+        record = _LABEL_BYTES + max((codec.size_max for codec in self.codecs if codec), default=0)
+        for limit, content in ((self.limit_bytes, record), (self.longest_bytes, self.belief.size)):
+            check_limit(limit, len(self.codecs), self.digest_steps, content)
+
+    @property
+    def longest_bytes(self) -> int:
+        """Length of the longest share."""
+        return max(self.limit_bytes, self.checkpoint_limit_bytes)
+
+    def limits(self, with_checkpoint: np.ndarray) -> np.ndarray:
+        """Most bytes (...) of shares."""
+        return np.where(with_checkpoint, self.longest_bytes, self.limit_bytes)
 
     def room(self, held: RecordSets, with_checkpoint: np.ndarray) -> np.ndarray:
         """Bytes (...) left for records in shares of nodes that hold (..., W, B) of them."""
@@ -87,7 +99,8 @@ class LabelledFrameCodec:
         sources = np.bitwise_count(np.bitwise_or.reduce(last, axis=-2)).sum(axis=-1, dtype=np.int64)
         taken = _HEAD_BYTES + _digest_bytes(len(self.codecs), self.digest_steps, sources)
         taken += mask_bytes
-        return self.limit_bytes - taken - np.where(with_checkpoint, self.belief.size, 0)
+        content = np.where(with_checkpoint, self.belief.size, 0)
+        return self.limits(with_checkpoint) - taken - content
 
     def costs(self, lengths: np.ndarray) -> np.ndarray:
         """Bytes that records of those lengths (..., W, N) take in a share."""
@@ -206,14 +219,17 @@ def check_limit(limit_bytes: int, nodes: int, digest_steps: int, content_bytes: 
         ValueError: saying by how much they are too short.
     """
     head_bytes = least_limit(nodes, digest_steps, 0)
-    missing = least_limit(nodes, digest_steps, content_bytes) - limit_bytes
-    if missing > 0:
-        raise ValueError(
-            f"labelled shares of at most {limit_bytes} bytes must hold a checkpoint or a record of "
-            f"{content_bytes} bytes beside {head_bytes} bytes of head, digest and mask; raise "
-            f"--payload-bytes by {missing + missing % 2} or more (254 at most), or lower "
-            "--digest-steps"
-        )
+    missing = head_bytes + content_bytes - limit_bytes
+    if missing <= 0:
+        return
+    missing += missing % 2
+    cure = f"raise --payload-bytes by {missing} or more (254 at most), or lower --digest-steps"
+    if limit_bytes + missing > _MOST_PAYLOAD_BYTES:
+        cure = "use --record-number int12, or another rule such as ci or hcmci"
+    raise ValueError(
+        f"labelled shares of at most {limit_bytes} bytes must hold a checkpoint or a record of "
+        f"{content_bytes} bytes beside {head_bytes} bytes of head, digest and mask; {cure}"
+    )
 
 
 def least_limit(nodes: int, digest_steps: int, content_bytes: int) -> int:
