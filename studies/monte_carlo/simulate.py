@@ -29,6 +29,7 @@ from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
+from concord.scenarios.user.faults import user_faults
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of mallopt(3)
 _KEPT_BYTES = 100_000_000
@@ -78,6 +79,7 @@ class _Recorded(NamedTuple):
     suspect: np.ndarray | None
 
 
+@user_faults()
 def simulate(
     setup: Setup,
     runs: Sequence[int],
@@ -96,6 +98,7 @@ def simulate(
 
     Raises:
         ValueError: no runs, or a name in `keep` that is none.
+        UserFault: a function of the user failed in the run.
         Interrupted: by Ctrl-C, with the runs that were complete.
     """
     if not len(runs) or len(set(runs)) < len(runs):
