@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import Angles
 from concord.nodes.estimator import AnyEstimator, EarlierBelief
 from concord.nodes.rules.local_filter import Model
 from concord.scenarios.node_context import BatchContext, NodeContext
@@ -49,11 +50,17 @@ class ShareKind(NamedTuple):
         what: its name in reports of shares that cannot be used.
         length: how many numbers are in a share, for so many states and nodes.
         forms: its form by type code; a float type without one is written number by number.
+        with_angles: the kind where states are angles, if that is another one.
     """
 
     what: str
     length: Callable[[int, int], int]
     forms: Mapping[str, FormOf] = {}
+    with_angles: "ShareKind | None" = None
+
+    def of(self, angles: Angles) -> "ShareKind":
+        """The kind for a plant with these angles."""
+        return self.with_angles or self if angles else self
 
     def codec(self, number: str, states: int, nodes: int, models: int = 1) -> VectorCodec:
         """How a share is written; of beliefs of several models, all that is not known of it."""
@@ -84,8 +91,9 @@ HYBRID = ShareKind(
     lambda states, nodes: 2 * packed_length(states) + nodes,
     {"<u2": TwoByteHybrid},
 )
-NOVELTIES = ShareKind("share", lambda states, _: packed_length(states))
 NOVELTIES_AND_MEANS = ShareKind("share", lambda states, _: packed_length(states) + states)
+# Without the mean of its prior, the turn to which a novelty belongs is unknown.
+NOVELTIES = ShareKind("share", lambda states, _: packed_length(states), {}, NOVELTIES_AND_MEANS)
 
 
 class Rule(NamedTuple):
@@ -147,13 +155,19 @@ def once(
     `batched` is a faster form for many runs.
     """
     at_one = partial(at_node, AtNode, build, share)
-    at_all = batched or partial(in_batch, build, share)
+    plain = partial(in_batch, build, share)
+
+    def at_all(context: BatchContext) -> "BatchedRule":
+        # Where states are angles, each receiver has turns of its own, which no matrix averages.
+        return plain(context) if batched is None or context.rule.angles else batched(context)
+
     return Rule(share, at_one, at_all, **properties)
 
 
 def share_codec(share: ShareKind, context: RuleContext) -> VectorCodec:
     """How shares of a kind are written."""
-    return share.codec(context.number, context.states, len(context.neighbours), context.models)
+    kind = share.of(context.angles)
+    return kind.codec(context.number, context.states, len(context.neighbours), context.models)
 
 
 def at_node(

@@ -10,8 +10,10 @@ from concord.entries import chosen
 from concord.filters.filter import begun
 from concord.filters.fusion import hold
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import angles_of
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.filter_table.filters import build_filter, check_shares, models_of
 from concord.scenarios.node_context import NodeContext
 from concord.scenarios.rule_table.rule import Rule
@@ -110,7 +112,8 @@ def share_size(scenario: Scenario, states: int) -> int:
         assert rule.share_bytes is not None, "a rule without a kind of share says their length"
         return rule.share_bytes(scenario, states)
     number, models = wire_number(scenario), models_of(scenario.filter)
-    return share.codec(number, states, scenario.nodes, models).size
+    angles = angles_of(definition_of(scenario).model(scenario))
+    return share.of(angles).codec(number, states, scenario.nodes, models).size
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:

@@ -44,8 +44,9 @@ def hybrid(context: RuleContext) -> AnyRule:
         begin,
         partial(hybrid_consensus.from_information, states=context.states),
         partial(hybrid_consensus.sound, states=context.states),
+        pairs=2,
     )
-    return FreshConsensus(rule, context.trigger, context.contends)
+    return FreshConsensus(rule, context.trigger, context.contends, context.angles)
 
 
 def weighted_information(context: RuleContext) -> AnyRule:
@@ -56,13 +57,14 @@ def weighted_information(context: RuleContext) -> AnyRule:
         partial(information_weighted.from_information, nodes=nodes),
         information_weighted.sound,
     )
-    return FreshConsensus(rule, context.trigger, context.contends)
+    return FreshConsensus(rule, context.trigger, context.contends, context.angles)
 
 
 def diffused(context: RuleContext) -> AnyRule:
     """For diffusion; on a complete graph with one round it is the centralised filter."""
-    rule = NoveltyRounds(diffusion.begin, diffusion.incremental, diffusion.combine)
-    return FreshConsensus(rule, context.trigger, context.contends)
+    begin = kalman_consensus.begin if context.angles else diffusion.begin
+    rule = NoveltyRounds(begin, diffusion.incremental, diffusion.combine)
+    return FreshConsensus(rule, context.trigger, context.contends, context.angles)
 
 
 def pulled(context: RuleContext) -> AnyRule:
@@ -73,7 +75,7 @@ def pulled(context: RuleContext) -> AnyRule:
         partial(kalman_consensus.correct, rate=rate),
         lambda means, _: kalman_consensus.average(means, rate),
     )
-    return FreshConsensus(rule, context.trigger, context.contends)
+    return FreshConsensus(rule, context.trigger, context.contends, context.angles)
 
 
 def _require_the_average(

@@ -23,7 +23,7 @@ from concord.results.records.trace import Past, read_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
 from concord.runtime.drivers import in_memory
-from concord.scenarios.catalogue import scored_nees
+from concord.scenarios.catalogue import beside_truth, scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.scenario import Scenario
@@ -266,10 +266,11 @@ def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
     )
     # The plant of nodes that tell tracks has more states than a belief, which come first.
     truth = instant.truth if instant.tracks is None else instant.truth[:, : len(setup.prior_mean)]
+    mean, cov = instant.belief
     return _Recorded(
         truth,
         instant.control,
-        instant.belief,
+        Gaussian(beside_truth(setup.scenario, mean, truth[:, None]), cov),
         payload,
         asked,
         classes,
