@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from concord.experiments.python_studies import design as design
     from concord.experiments.python_studies import plots as plots
     from concord.experiments.python_studies import sweep as sweep
+    from concord.plants.linear_systems import from_control as from_control
     from concord.plants.own_plant import OwnPlant as OwnPlant
     from concord.plants.own_plant import OwnSensor as OwnSensor
-    from concord.plants.own_plant import from_control as from_control
     from concord.scenarios.definitions.own import own_scenario as own_scenario
     from concord.scenarios.scenario import Scenario as Scenario
     from concord.scenarios.types import buses as buses

@@ -16,7 +16,7 @@ from concord.results.palette import COLOURS, GREY
 from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.results.records.trace import Past
 from concord.scenarios.baselines import centralised_of_runs
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import beside_truth, definition_of
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.plants import PlacedSensors
@@ -99,7 +99,8 @@ def _errors(description: Description, data: "xarray.Dataset", told: np.ndarray) 
     control = data["control"].to_numpy() if "control" in data else None
     runs = data["run"].to_numpy().tolist()
     central = centralised_of_runs(setup, runs, data["readings"].to_numpy(), control).mean
-    off = central - data["truth"].to_numpy()
+    truth = data["truth"].to_numpy()
+    off = beside_truth(setup.scenario, central, truth) - truth
     figure, axes, time = _axes(data)
     time, errors, off = time[told], errors[:, told], off[:, told]
     low, quarter, three, high = np.nanquantile(errors, (0, 0.25, 0.75, 1), axis=(0, 2))

@@ -21,7 +21,7 @@ from concord.scenarios.baselines import (
     centralised_smoothed,
     filters_step_by_step,
 )
-from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.catalogue import beside_truth, definition_of, scored_nees
 from concord.scenarios.filter_table.filters import models_of
 from concord.scenarios.setup import Setup
 
@@ -72,7 +72,13 @@ def check_smoothing(setup: Setup) -> None:
 def smoothed_of(setup: Setup, trace: Trace) -> Smoothed:
     """The filter that hears everything in a run, and its smoother."""
     filtered = centralised(setup, trace.readings, trace.control)
-    return Smoothed(filtered, centralised_smoothed(setup, filtered, trace.control))
+    smoothed = centralised_smoothed(setup, filtered, trace.control)
+    return Smoothed(
+        *(
+            Gaussian(beside_truth(setup.scenario, one.mean, trace.truth), one.cov)
+            for one in (filtered, smoothed)
+        )
+    )
 
 
 def smoothing_figures(setup: Setup, trace: Trace, found: Smoothed, first: int) -> SmoothingFigures:

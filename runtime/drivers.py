@@ -16,6 +16,7 @@ from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
+from concord.scenarios.user.faults import user_faults
 
 
 class RunPace(NamedTuple):
@@ -50,8 +51,13 @@ def in_memory(setup: Setup) -> list[tuple[str, bytes]]:
     return recorder.messages
 
 
+@user_faults()
 def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> None:
-    """Run a setup in this process."""
+    """Run a setup in this process.
+
+    Raises:
+        UserFault: a function of the user failed in the run.
+    """
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
     in_process.run(
         build_environment(setup),

@@ -11,6 +11,7 @@ from concord.bus.schedule import Schedule
 from concord.bus.timebase import Pace
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import angles_of
 from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.estimator import AnyEstimator, EarlierBelief
@@ -147,6 +148,7 @@ def rule_context(setup: Setup, contends: bool) -> RuleContext:
         contends,
         models_of(scenario.filter),
         definition_of(scenario).origin(scenario),
+        angles_of(definition_of(scenario).model(scenario)),
     )
 
 

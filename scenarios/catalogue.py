@@ -4,6 +4,7 @@ import numpy as np
 
 from concord.entries import chosen, entries
 from concord.filters.metrics import nees
+from concord.filters.turns import angles_of, beside
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
 from concord.scenarios.types.plants import UserPlant
@@ -44,6 +45,13 @@ def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.n
     if states != list(range(errors.shape[-1])):
         errors, cov = errors[..., states], cov[..., states, :][..., states]
     return nees(errors, cov + definition.reference_cov(scenario))
+
+
+def beside_truth(scenario: Scenario, mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Means (..., n) whose angles are on the turn next to the truth (..., n), so that their
+    difference is the error; the same for a plant without angles."""
+    angles = angles_of(definition_of(scenario).model(scenario))
+    return beside(mean, truth, angles) if angles else mean
 
 
 def definition_named(name: str) -> ScenarioDefinition:

@@ -164,7 +164,7 @@ NAMES = {
     "OwnPlant": ("concord.plants.own_plant:OwnPlant", "A plant of your own."),
     "OwnSensor": ("concord.plants.own_plant:OwnSensor", "A sensor of your own."),
     "from_control": (
-        "concord.plants.own_plant:from_control",
+        "concord.plants.linear_systems:from_control",
         "A plant from a model of python-control or scipy.",
     ),
     "own_scenario": (

@@ -8,6 +8,7 @@ import numpy as np
 from concord.bus.schedule import Schedule
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import Angles
 from concord.nodes.rules.belief_consensus import HoldPolicy
 from concord.nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
 from concord.scenarios.scenario import Scenario
@@ -50,7 +51,8 @@ class RuleContext(NamedTuple):
 
     `neighbours` are those that each node of the network hears; `number` is "<f8" or "<f4"; `rule`
     is that of the scenario; without `contends` no node asks for dynamic slots. A belief is of so
-    many `models`. Numbers on the wire are of states about the `origin` (n,); None for zero.
+    many `models`, and its `angles` are states that are angles. Numbers on the wire are of states
+    about the `origin` (n,); None for zero.
     """
 
     states: int
@@ -62,6 +64,7 @@ class RuleContext(NamedTuple):
     contends: bool = True
     models: int = 1
     origin: np.ndarray | None = None
+    angles: Angles = ()
 
 
 class NodeContext(NamedTuple):

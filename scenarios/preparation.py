@@ -22,7 +22,12 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
 from concord.scenarios.filter_table.filters import check_models, check_prior
 from concord.scenarios.links import losses_of, network_of, require_static_links
-from concord.scenarios.rule_table.rules import check_rule, is_set_valued, share_size
+from concord.scenarios.rule_table.rules import (
+    check_rule,
+    is_set_valued,
+    share_size,
+    try_own_rule,
+)
 from concord.scenarios.scenario import SETTINGS, Scenario, require
 from concord.scenarios.scenario_definition import ScenarioPlant
 from concord.scenarios.script import check_script, script_of
@@ -36,8 +41,8 @@ from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
 
 
-def prepare(scenario: Scenario) -> Setup:
-    """Check a scenario and work it out.
+def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:
+    """Check a scenario and work it out; a rule of the user's own is tried, if `tries_rule`.
 
     Raises:
         ValueError: anything that cannot run, named with its value, the rule and the cure.
@@ -52,6 +57,8 @@ def prepare(scenario: Scenario) -> Setup:
     setup = setup_of_run(unborn, scenario.run)
     check_network(setup)
     _check_filter(setup)
+    if tries_rule:
+        _try_rule(setup)
     check_script(
         scenario,
         lambda settings: with_settings(setup, settings).neighbours,
@@ -197,6 +204,11 @@ def _check_filter(setup: Setup) -> None:
     )
 
 
+def _try_rule(setup: Setup) -> None:
+    prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
+    try_own_rule(setup.scenario, prior, setup.neighbours)
+
+
 def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settings:
     """Return all settings of a network that runs, of which some were set before.
 
@@ -221,7 +233,10 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     changed, left = scenario.with_known(**settings)
     refuse_left(changed, {name: value for name, value in left.items() if name in asked})
     require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
-    check_network(with_settings(setup, settings))
+    settled = with_settings(setup, settings)
+    check_network(settled)
+    if "rule" in asked:
+        _try_rule(settled)
     if is_set_valued(changed) != is_set_valued(scenario):
         raise ValueError(
             f"set rule={changed.rule.name}: {scenario.rule.name} keeps "

@@ -20,6 +20,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
 from concord.runtime.whole_steps import WholeStep
+from concord.scenarios.catalogue import beside_truth
 
 
 class BusView:
@@ -168,7 +169,9 @@ class Assembler:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
         self._take_estimates(number, told)
+        self._belief = self._beside(truth, self._belief)
         central, nis = self.filters.add(number, told, self._belief, self._alive)
+        central = None if central is None else self._beside(truth, central)
         extra = None
         if self._own is not None:
             extra, changes = self._own.add(state, told.estimates)
@@ -201,6 +204,10 @@ class Assembler:
             events=events,
             extra=extra,
         )
+
+    def _beside(self, truth: np.ndarray, beliefs: Gaussian) -> Gaussian:
+        """Beliefs (..., n) with angles on the turn next to the truth (n,)."""
+        return Gaussian(beside_truth(self._stage.setup.scenario, beliefs.mean, truth), beliefs.cov)
 
     def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()

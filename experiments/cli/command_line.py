@@ -15,6 +15,7 @@ from concord.entries import chosen, entries
 from concord.experiments.repeated_options import refuse_repeated
 from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
+from concord.scenarios.user.faults import user_faults
 from concord.topology.names import unknown_name
 
 
@@ -33,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
         signal.signal(signal.SIGTERM, _interrupt)
-        with standard_output():
+        with standard_output(), user_faults():
             command(arguments)
     except RunFailed as error:
         sys.stderr.write(f"concord: {error}\n")

@@ -112,6 +112,11 @@ def _plant_on_bus(plant: object, sensors: Sequence[Any]) -> PlantOnBus:
 
 def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
     require_sensors(plant, sensors)
+    if plant.angles:
+        raise ValueError(
+            f"angles {plant.angles}: they have no place behind a measurement bus; let f go on "
+            "beyond pi, let sensors read sine and cosine, and leave angles out"
+        )
     for number, sensor in enumerate(sensors, start=1):
         if sensor.angles or sensor.gate is not None:
             raise ValueError(

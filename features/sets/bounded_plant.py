@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from concord.features.sets.bounded import BoundedSystem
-from concord.plants.own_plant import covariance_of, require_description, vector_of
+from concord.plants.own_values import covariance_of, require_description, vector_of
 
 if TYPE_CHECKING:
     from concord.features.measurement_bus.measured import PlantOnBus

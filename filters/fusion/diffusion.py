@@ -9,7 +9,7 @@ sensors and lets each node interpret its own.
 import numpy as np
 
 from concord.filters.fusion.novelty import absorb, novelty
-from concord.filters.fusion.packed import average, pack, unpack
+from concord.filters.fusion.packed import average, pack, packed_length, unpack
 from concord.filters.gaussian import Gaussian
 
 
@@ -27,9 +27,9 @@ def incremental(prior: Gaussian, numbers: np.ndarray) -> Gaussian:
 
     Args:
         prior: the node's own, mean (..., n), cov (..., n, n).
-        numbers: (..., J, n + n (n + 1) / 2), the node's own first; NaN: not heard.
+        numbers: (..., J, n + n (n + 1) / 2 or more), the node's own first; NaN: not heard.
     """
-    return absorb(prior, unpack(numbers))
+    return absorb(prior, unpack(numbers[..., : packed_length(prior.mean.shape[-1])]))
 
 
 def combine(means: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from concord.nodes.rules.labelled.frame import LabelledFrameCodec
 from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY, RecordSets
 from concord.nodes.rules.labelled.source_gate import judged
-from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
+from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows, checkpoint_of
 from concord.nodes.rules.lane_rule import NO_BID
 from concord.nodes.rules.local_filter import SensorGroup
 
@@ -156,6 +156,7 @@ class BatchedFlooding:
         records, body_bytes = self._chosen(content, runs, nodes)
         owed, count = content.owed[runs, nodes], np.bitwise_count(records).sum(axis=(1, 2))
         base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
+        base = checkpoint_of(self.filter, base)
         codec = self.frames.belief
         checkpoint, sound = as_sent(base, codec) if owed.any() else (base, owed)
         carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.fusion.averaging import Averaged, Directly
-from concord.filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian, joined
+from concord.filters.turns import Angles, beside, turns_to_own
 from concord.nodes.rules.lane_rule import (
     Failures,
     LaneContent,
@@ -66,6 +67,8 @@ BeliefContent = LaneContent[OwnBelief, HeldBeliefs]
 class BeliefConsensus:
     """The rules that average beliefs (covariance intersection, the paper's WAC), as a `LaneRule`.
 
+    `angles` are states that are angles: those of a neighbour are put on the turn next to the own.
+
     Source: the weights of held shares are this project's (`concord.filters.fusion.hold`).
     """
 
@@ -74,6 +77,7 @@ class BeliefConsensus:
     states: int
     trigger: float = 0.0
     contends: bool = True
+    angles: Angles = ()
 
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> BeliefContent:
         """The prior, and neighbours never heard (their place holds the prior at no weight)."""
@@ -118,7 +122,8 @@ class BeliefConsensus:
 
     def say(self, content: BeliefContent) -> np.ndarray:
         """The pair before the iteration."""
-        return belief_numbers(content.own.belief)
+        mean, cov = content.own.belief
+        return belief_numbers(Gaussian(beside(mean, 0.0, self.angles), cov))
 
     def sent(self, content: BeliefContent, sends: np.ndarray) -> BeliefContent:
         """The node remembers what its neighbours now hold of it."""
@@ -143,6 +148,11 @@ class BeliefConsensus:
             ages = np.where(heard, 0, older(before.ages))
             beliefs = where(heard, shares, before.beliefs)
         weights = self._weights(place.weights, ages, cycles)
+        if self.angles:
+            means, covs = joined(own.belief, beliefs)
+            variances = np.diagonal(covs, axis1=-2, axis2=-1)
+            turns = turns_to_own(means, variances, weights, self.angles)
+            beliefs = Gaussian(beliefs.mean + turns[..., 1:, :], beliefs.cov)
         fused = self.average.fuse(own.belief, beliefs, weights, self.hold.by_inverse_volume)
         held = HeldBeliefs(beliefs, ages, fused.weights[..., 1:])
         unsound = np.isnan(fused.inverse_volume[..., 1:])

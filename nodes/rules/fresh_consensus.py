@@ -12,6 +12,7 @@ import numpy as np
 from concord.filters.fusion.hold import renormalise
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, symmetrise
+from concord.filters.turns import Angles, turns_between, turns_to_own
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.lane_rule import (
     Failures,
@@ -38,6 +39,14 @@ class Exchange(Protocol):
 
     def say(self, cycle: int, known: np.ndarray, belief: Gaussian) -> np.ndarray:
         """Return the content to share (..., m) in a round."""
+        ...
+
+    def placed(self, cycle: int, shares: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
+        """Means (..., n) about which shares (..., m) of a round are, and their variances."""
+        ...
+
+    def turned(self, cycle: int, shares: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Shares (..., m) of a round on turns (..., n) in rad away."""
         ...
 
     def sound(self, shares: np.ndarray) -> np.ndarray:
@@ -88,7 +97,7 @@ FreshContent = LaneContent[FreshOwn, LastUsed]
 
 @dataclass(frozen=True)
 class FreshConsensus:
-    """The rules that exchange fresh shares, as a `LaneRule`.
+    """The rules that exchange fresh shares, as a `LaneRule`; `angles` as in `BeliefConsensus`.
 
     Nodes exchange numbers of states about the `origin` (n,), which all know; None for zero.
     """
@@ -97,6 +106,7 @@ class FreshConsensus:
     trigger: float = 0.0
     contends: bool = True
     origin: np.ndarray | None = None
+    angles: Angles = ()
 
     def _about(self, belief: Gaussian) -> Gaussian:
         """The belief about the origin, which keeps the digits of the information's vector."""
@@ -131,6 +141,15 @@ class FreshConsensus:
 
     def say(self, content: FreshContent) -> np.ndarray:
         """Return the content to share in this round."""
+        share = self._own(content)
+        if not self.angles:
+            return share
+        cycle = content.cycles_in_step
+        mean, _ = self.exchange.placed(cycle, share, content.own.belief.mean.shape[-1])
+        turns = turns_between(mean, np.zeros_like(mean), self.angles)
+        return self.exchange.turned(cycle, share, turns)
+
+    def _own(self, content: FreshContent) -> np.ndarray:
         belief = self._about(content.own.belief)
         return self.exchange.say(content.cycles_in_step, content.own.known, belief)
 
@@ -158,8 +177,12 @@ class FreshConsensus:
             failures = {"rejected unsound": refused.sum(axis=-1)}
             heard = heard & usable
         everyone = np.concatenate(
-            (self.say(content)[..., None, :], np.where(heard[..., None], shares, np.nan)), axis=-2
+            (self._own(content)[..., None, :], np.where(heard[..., None], shares, np.nan)), axis=-2
         )
+        if self.angles:
+            placed = self.exchange.placed(cycle, everyone, own.belief.mean.shape[-1])
+            turns = turns_to_own(*placed, place.weights, self.angles)
+            everyone = self.exchange.turned(cycle, everyone, turns)
         known, belief = self.exchange.fuse(cycle, place.weights, prior, own.known, belief, everyone)
         content, failed = self.settled(content, known, belief, heard)
         return content, {**failures, **failed}

@@ -10,6 +10,8 @@ import numpy as np
 
 from concord.filters.filter import Filter, LearningFilter
 from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model as Points
+from concord.filters.turns import angles_of, beside
 from concord.filters.update import Update
 from concord.nodes.messages import Measured
 
@@ -88,9 +90,23 @@ def predict_to_step(
 ) -> Carried:
     """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
     noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
-    transition = partial(model.transition, control=control, step=step - 1)
-    moved = filter.predict(beliefs, transition, noise_cov)
+    moved = filter.predict(beliefs, transition_of(model, control, step - 1), noise_cov)
     return Carried(moved, finite_lanes(moved))
+
+
+def transition_of(model: Model, control: np.ndarray | None, step: int) -> Points:
+    """The model's transition of points (S, ..., n) from a step; angles that it gives are on the
+    turn of those of the first point."""
+    transition = partial(model.transition, control=control, step=step)
+    angles = angles_of(model)
+    if not angles:
+        return transition
+
+    def on_one_turn(points: np.ndarray) -> np.ndarray:
+        values = transition(points)
+        return beside(values, values[0], angles)
+
+    return on_one_turn
 
 
 def at(beliefs: Gaussian, place: int) -> Gaussian:

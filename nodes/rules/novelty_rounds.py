@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.fusion.packed import packed_length, unpack
+from concord.filters.fusion.packed import pack, packed_length, unpack
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, inverse_spd
+from concord.filters.turns import turned
 
 
 class NoveltyRounds(NamedTuple):
@@ -35,6 +36,19 @@ class NoveltyRounds(NamedTuple):
         numbers = np.zeros_like(known)
         numbers[..., : belief.mean.shape[-1]] = belief.mean
         return numbers
+
+    def placed(self, cycle: int, shares: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
+        """The means (..., n) behind novelties, then means alone; the shares carry no variances."""
+        means = shares[..., :states] if cycle > 0 else shares[..., -states:]
+        return means, np.ones_like(means)
+
+    def turned(self, cycle: int, shares: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Novelties with means behind, then means alone, on turns (..., n) in rad away."""
+        n = turns.shape[-1]
+        if cycle > 0:
+            return np.concatenate((shares[..., :n] + turns, shares[..., n:]), axis=-1)
+        novelty = turned(unpack(shares[..., :-n]), turns)
+        return np.concatenate((pack(novelty), shares[..., -n:] + turns), axis=-1)
 
     def sound(self, shares: np.ndarray) -> np.ndarray:
         """Every share, as far as it alone can tell."""

@@ -9,7 +9,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
 from concord.filters.metrics import consensus
 from concord.results.records.extras import RunExtra, run_extras
-from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.catalogue import beside_truth, definition_of, scored_nees
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
@@ -58,7 +58,7 @@ def network_errors(
 ) -> NetworkErrors:
     """Of estimates mean (R, S, N, n) with nees (R, S, N), and centre (R, S, n)."""
     score = definition_of(setup.scenario).score
-    of_centre = centre.mean - known.truth
+    of_centre = beside_truth(setup.scenario, centre.mean, known.truth) - known.truth
     means = mean[..., list(score.states)]
     spread = means - consensus(means)
     if is_set_valued(setup.scenario):
@@ -97,7 +97,8 @@ def errors_alone(setup: Setup, known: RunTruths, mean: np.ndarray) -> np.ndarray
         runs = zip(known.extras, known.readings, strict=True)
         return np.stack([extras.distances_alone(setup, *one) for one in runs])[..., None]
     states = list(definition_of(setup.scenario).score.states)
-    return (mean - known.truth[:, :, None])[..., states]
+    truth = known.truth[:, :, None]
+    return (beside_truth(setup.scenario, mean, truth) - truth)[..., states]
 
 
 def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:

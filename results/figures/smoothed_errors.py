@@ -8,7 +8,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import rmse
 from concord.results.records.trace import Past
 from concord.scenarios.baselines import centralised_past
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import beside_truth, definition_of
 from concord.scenarios.setup import Setup
 
 
@@ -43,10 +43,14 @@ def smoothed_errors(
     of_one = centralised_past(setup, central, control, past.mean.shape[2] - 1)
     # Entry (k, l) is about step k - l, whose truth and score it has.
     known = lagged(np.where(counted[..., None], truth, np.nan), past.mean.shape[2])
-    return SmoothedErrors(
-        rmse((past.mean - known[:, :, :, None])[..., states], (1, 3)),
-        rmse((np.moveaxis(of_one.mean, 0, 2) - known)[..., states], (1,)),
+    of_nodes, of_one = (
+        beside_truth(setup.scenario, mean, where) - where
+        for mean, where in (
+            (past.mean, known[:, :, :, None]),
+            (np.moveaxis(of_one.mean, 0, 2), known),
+        )
     )
+    return SmoothedErrors(rmse(of_nodes[..., states], (1, 3)), rmse(of_one[..., states], (1,)))
 
 
 def lagged(values: np.ndarray, lags: int) -> np.ndarray:

@@ -15,6 +15,7 @@ from concord.results.records.extras import RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_table.bus_definition import frame_format
+from concord.scenarios.catalogue import beside_truth
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
@@ -179,6 +180,7 @@ def _assemble(
     truth = np.full((steps, len(setup.initial_state)), np.nan)
     for k in truths.keys() & range(steps):
         truth[k] = from_wire(truths[k].state)
+    mean = beside_truth(setup.scenario, mean, truth[:, None, :n])
     extra, extras = None, run_extras(setup.scenario)
     if extras is not None:
         told = {(k, i): one.tracks for (k, i), one in estimates.items() if history.is_in(i, k)}

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NamedTuple
 
+from concord.scenarios.user.faults import fault_sentence, last_line
+
 TRY_AGAIN = 75
 _GRACE_S = 1.0
 _SET_PARENT_DEATH_SIGNAL = 1
@@ -73,8 +75,10 @@ class Supervisor:
             code = 0
         except SystemExit as wish:
             code = wish.code if isinstance(wish.code, int) else 1
-        except BaseException:
-            sys.stderr.write(f"{name}: {traceback.format_exc()}")
+        except BaseException as error:
+            line = last_line(error)
+            words = f"{fault_sentence(error)}\n" if line else traceback.format_exc()
+            sys.stderr.write(f"{name}: {words}")
         finally:
             # Never the parent's exit handlers, never a wait for zenoh's threads.
             os._exit(code)

@@ -46,7 +46,7 @@ def own_scenario(
         ValueError: a sensor that cannot read the plant's states, or states that it does not have.
     """
     require_sensors(plant, sensors)
-    dealt = tuple(sensors)
+    dealt = tuple(sensor and plant.seen_by(sensor) for sensor in sensors)
 
     @cache
     def truth(count: int) -> OwnTruth:

@@ -1,8 +1,9 @@
 """`target-tracking`: range-bearing sensors with a limited field of view follow one target.
 
-The turning target is the scenario TRACK of the consensus study: 20 nodes on a square kilometre,
-each sees a target within 350 m, radio reaches 330 m. By default 12 nodes average by `sharp-ci` in
-two bytes a number, and a quarter of them send in a cycle of FlexRay. `target-crossing` is its straight relative.
+The turning target is the scenario TRACK of the consensus study: nodes on a square kilometre, each
+sees a target within 350 m, radio reaches 330 m. By default 12 nodes average by `sharp-ci` in two
+bytes a number, and a quarter of them send in a cycle of FlexRay. `target-crossing` is its straight
+relative.
 """
 
 from collections.abc import Callable

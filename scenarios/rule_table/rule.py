@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import Angles
 from concord.nodes.estimator import AnyEstimator, EarlierBelief
 from concord.nodes.rules.local_filter import Model
 from concord.scenarios.node_context import BatchContext, NodeContext
@@ -54,12 +55,18 @@ class ShareKind(NamedTuple):
         forms: its form by type code; a float type without one is written number by number.
         has_mean: it begins with the mean of the states, which a form writes about their origin.
             Other rules compute with states about it.
+        with_angles: the kind where states are angles, if that is another one.
     """
 
     what: str
     length: Callable[[int, int], int]
     forms: Mapping[str, FormOf] = {}
     has_mean: bool = False
+    with_angles: "ShareKind | None" = None
+
+    def of(self, angles: Angles) -> "ShareKind":
+        """The kind for a plant with these angles."""
+        return self.with_angles or self if angles else self
 
     def codec(
         self,
@@ -104,11 +111,17 @@ HYBRID = ShareKind(
     {"<f4": SingleHybrid, "<u2": TwoByteHybrid},
 )
 _SINGLE_NOVELTY: Mapping[str, FormOf] = {"<f4": lambda states, _: SingleNovelty(states)}
-NOVELTIES = ShareKind("share", lambda states, _: packed_length(states), _SINGLE_NOVELTY)
 NOVELTIES_AND_MEANS = ShareKind(
     "share",
     lambda states, _: packed_length(states) + states,
     {"<f4": lambda states, _: SingleNovelty(states, states)},
+)
+# Without the mean of its prior, the turn to which a novelty belongs is unknown.
+NOVELTIES = ShareKind(
+    "share",
+    lambda states, _: packed_length(states),
+    _SINGLE_NOVELTY,
+    with_angles=NOVELTIES_AND_MEANS,
 )
 
 
@@ -171,14 +184,19 @@ def once(
     `batched` is a faster form for many runs.
     """
     at_one = partial(at_node, AtNode, build, share)
-    at_all = batched or partial(in_batch, build, share)
+    plain = partial(in_batch, build, share)
+
+    def at_all(context: BatchContext) -> "BatchedRule":
+        # Where states are angles, each receiver has turns of its own, which no matrix averages.
+        return plain(context) if batched is None or context.rule.angles else batched(context)
+
     return Rule(share, at_one, at_all, **properties)
 
 
 def share_codec(share: ShareKind, context: RuleContext) -> VectorCodec:
     """How shares of a kind are written."""
-    nodes, origin = len(context.neighbours), context.origin
-    return share.codec(context.number, context.states, nodes, context.models, origin)
+    kind, nodes = share.of(context.angles), len(context.neighbours)
+    return kind.codec(context.number, context.states, nodes, context.models, context.origin)
 
 
 def at_node(

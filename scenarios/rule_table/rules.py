@@ -7,13 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from concord.entries import chosen
+from concord.filters.filter import begun
 from concord.filters.fusion import hold
+from concord.filters.gaussian import Gaussian
+from concord.filters.turns import angles_of
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.rules.belief_consensus import HoldPolicy
-from concord.scenarios.filter_table.filters import check_shares, models_of
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.filter_table.filters import build_filter, check_shares, models_of
 from concord.scenarios.node_context import NodeContext
 from concord.scenarios.rule_table.rule import Rule
-from concord.scenarios.rule_table.rules_of_beliefs import averaged
+from concord.scenarios.rule_table.rules_of_beliefs import Average, averaged
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
 from concord.scenarios.types.rules import NumberRule, UserRule, hold_of, number_of
@@ -32,7 +36,8 @@ def rule_of(scenario: Scenario) -> Rule:
         ValueError: there is no such rule.
     """
     if isinstance(scenario.rule, UserRule):
-        return _user_rule(scenario.rule.where)
+        own = _user_rule(scenario.rule.where)
+        return own if isinstance(own, Rule) else averaged(own)
     if why := scenario.rule.unavailable:
         raise ValueError(f"rule {scenario.rule.name}: {why}; use one of these, or another rule")
     return _named(scenario.rule.name)
@@ -46,10 +51,29 @@ def _named(name: str) -> Rule:
 
 
 @lru_cache
-def _user_rule(source: ValueSource) -> Rule:
+def _user_rule(source: ValueSource) -> Rule | Average:
     """The rule of a user: an average of beliefs, or a `Rule` that says everything itself."""
-    value = function_or(Rule, source, "a function rule(beliefs, weights) -> belief, or a Rule")
-    return value if isinstance(value, Rule) else averaged(value)
+    return function_or(Rule, source, "a function rule(beliefs, weights) -> belief, or a Rule")
+
+
+def try_own_rule(scenario: Scenario, prior: Gaussian, neighbours: Sequence[Sequence[int]]) -> None:
+    """Call a rule of the user's own on as many beliefs near the prior (n,) as a node may have.
+
+    Raises:
+        ValueError: naming the rule, what is wrong with it, and the cure.
+    """
+    rule = scenario.rule
+    if isinstance(rule, UserRule) and not isinstance(own := _user_rule(rule.where), Rule):
+        # Only here: a node of the network tries nothing.
+        from concord.scenarios.user.trial import try_rule
+
+        deviation = np.sqrt(np.diagonal(prior.cov))
+        deviation = np.where(deviation > 0, deviation, 1.0)
+        # No covariance is diagonal after a fusion, so that of the prior would show too little.
+        correlations = 0.7 * np.eye(len(deviation)) + 0.3
+        prior = Gaussian(prior.mean, deviation[:, None] * correlations * deviation)
+        begins = begun(build_filter(scenario.filter, len(deviation)), prior)
+        try_rule(rule.name, own, begins, 1 + max(map(len, neighbours)))
 
 
 def is_set_valued(scenario: Scenario) -> bool:
@@ -88,7 +112,8 @@ def share_size(scenario: Scenario, states: int) -> int:
         assert rule.share_bytes is not None, "a rule without a kind of share says their length"
         return rule.share_bytes(scenario, states)
     number, models = wire_number(scenario), models_of(scenario.filter)
-    return share.codec(number, states, scenario.nodes, models).size
+    angles = angles_of(definition_of(scenario).model(scenario))
+    return share.of(angles).codec(number, states, scenario.nodes, models).size
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:

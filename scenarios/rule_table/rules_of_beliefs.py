@@ -30,7 +30,8 @@ Average = Callable[[Gaussian, np.ndarray], Gaussian]
 def averaging(rule: Averaged, context: RuleContext) -> AnyRule:
     """For rules that average beliefs, fresh ones and held ones."""
     size = stacked_size(context.states, context.models)
-    return BeliefConsensus(rule, context.hold, size, context.trigger, context.contends)
+    asks = context.trigger, context.contends
+    return BeliefConsensus(rule, context.hold, size, *asks, context.angles)
 
 
 def averaged(average: Average) -> Rule:

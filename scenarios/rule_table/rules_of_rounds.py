@@ -13,7 +13,7 @@ from concord.filters.fusion import (
     kalman_consensus,
 )
 from concord.filters.gaussian import Gaussian
-from concord.nodes.rules.fresh_consensus import FreshConsensus
+from concord.nodes.rules.fresh_consensus import Exchange, FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.scenarios.node_context import RuleContext
@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from concord.topology.weights import Weights
 
 
+def _fresh(rule: Exchange, context: RuleContext) -> FreshConsensus:
+    of_plant = context.origin, context.angles
+    return FreshConsensus(rule, context.trigger, context.contends, *of_plant)
+
+
 def hybrid(context: RuleContext) -> AnyRule:
     """For consensus on prior and novelty."""
     rows = np.eye(len(context.neighbours))
@@ -44,8 +49,9 @@ def hybrid(context: RuleContext) -> AnyRule:
         begin,
         partial(hybrid_consensus.from_information, states=context.states),
         partial(hybrid_consensus.sound, states=context.states),
+        pairs=2,
     )
-    return FreshConsensus(rule, context.trigger, context.contends, context.origin)
+    return _fresh(rule, context)
 
 
 def weighted_information(context: RuleContext) -> AnyRule:
@@ -56,13 +62,13 @@ def weighted_information(context: RuleContext) -> AnyRule:
         partial(information_weighted.from_information, nodes=nodes),
         information_weighted.sound,
     )
-    return FreshConsensus(rule, context.trigger, context.contends, context.origin)
+    return _fresh(rule, context)
 
 
 def diffused(context: RuleContext) -> AnyRule:
     """For diffusion; on a complete graph with one round it is the centralised filter."""
-    rule = NoveltyRounds(diffusion.begin, diffusion.incremental, diffusion.combine)
-    return FreshConsensus(rule, context.trigger, context.contends, context.origin)
+    begin = kalman_consensus.begin if context.angles else diffusion.begin
+    return _fresh(NoveltyRounds(begin, diffusion.incremental, diffusion.combine), context)
 
 
 def pulled(context: RuleContext) -> AnyRule:
@@ -73,7 +79,7 @@ def pulled(context: RuleContext) -> AnyRule:
         partial(kalman_consensus.correct, rate=rate),
         lambda means, _: kalman_consensus.average(means, rate),
     )
-    return FreshConsensus(rule, context.trigger, context.contends, context.origin)
+    return _fresh(rule, context)
 
 
 def _require_the_average(

@@ -39,9 +39,9 @@ def draw_network(number: int, rule: str) -> Scenario:
     for _, generator, drawn in possible_networks(number):
         try:
             scenario, _ = drawn.with_known(rule=rule, steps=_STEPS)
-            links = prepare(scenario).neighbours
+            links = prepare(scenario, tries_rule=False).neighbours
             scenario, _ = scenario.with_known(changes=_changes(generator, links))
-            prepare(scenario)
+            prepare(scenario, tries_rule=False)
         except ValueError as error:
             refusal = error
         else:

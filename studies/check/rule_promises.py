@@ -68,7 +68,7 @@ def checked_rule(name: str, consistent: bool, engine: Engine) -> CheckedRule:
     refusals = []
     for options in _NETWORKS:
         try:
-            setup = prepare(scenario_with_known(**options, rule=name)[0])
+            setup = prepare(scenario_with_known(**options, rule=name)[0], tries_rule=False)
         except ValueError as refusal:
             refusals.append(refusal)
             continue

@@ -23,12 +23,13 @@ from concord.results.records.trace import Past, read_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
 from concord.runtime.drivers import in_memory
-from concord.scenarios.catalogue import scored_nees
+from concord.scenarios.catalogue import beside_truth, scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
+from concord.scenarios.user.faults import user_faults
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of mallopt(3)
 _KEPT_BYTES = 100_000_000
@@ -78,6 +79,7 @@ class _Recorded(NamedTuple):
     suspect: np.ndarray | None
 
 
+@user_faults()
 def simulate(
     setup: Setup,
     runs: Sequence[int],
@@ -96,6 +98,7 @@ def simulate(
 
     Raises:
         ValueError: no runs, or a name in `keep` that is none.
+        UserFault: a function of the user failed in the run.
         Interrupted: by Ctrl-C, with the runs that were complete.
     """
     if not len(runs) or len(set(runs)) < len(runs):
@@ -276,10 +279,11 @@ def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
     )
     # The plant of nodes that tell tracks has more states than a belief, which come first.
     truth = instant.truth if instant.tracks is None else instant.truth[:, : len(setup.prior_mean)]
+    mean, cov = instant.belief
     return _Recorded(
         truth,
         instant.control,
-        instant.belief,
+        Gaussian(beside_truth(setup.scenario, mean, truth[:, None]), cov),
         payload,
         asked,
         classes,

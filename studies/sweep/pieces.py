@@ -15,6 +15,7 @@ from concord.results.folder import commit, versions
 from concord.runtime.batched.build import without_array_form
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.user.faults import user_faults
 from concord.studies.monte_carlo.moments import apart, merged, reduced
 from concord.studies.monte_carlo.simulate import runs_together, simulate
 from concord.studies.sweep.specification import Cell, Specification
@@ -100,6 +101,7 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
     return pieces
 
 
+@user_faults()
 def compute(piece: Piece) -> dict[str, np.ndarray]:
     """Return the figures of a piece (`figure_table.FIGURES`), reduced as far as it says."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))

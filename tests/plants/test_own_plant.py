@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, from_control, require_sensors
+from concord.plants.linear_systems import from_control
+from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 
 MATRIX = np.array([[1.0, 0.1], [-0.2, 0.9]])
 LINEAR = OwnPlant(f=lambda x: x @ MATRIX.T, Q=[0.01, 0.04], mean=[1, 2], cov=[[2, 0.5], [0.5, 1]])
@@ -35,7 +36,7 @@ def test_truth_and_readings_have_the_moments_that_were_given():
 def test_differences_of_angles_are_wrapped(a: float, b: float):
     compass = OwnSensor(h=lambda x: x[..., :1], R=0.1, angles=(0,))
     (wrapped,) = compass.residual(np.array([a]), np.array([b]))
-    assert -np.pi <= wrapped < np.pi
+    assert -np.pi < wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * (a - b)))
 
 
@@ -83,3 +84,59 @@ def test_a_system_of_python_control_is_sampled():
     assert from_control(sampled, **law)[0].time_step_s == 0.1
     with pytest.raises(ValueError, match="leave it out"):
         from_control(sampled, time_step_s=0.2, **law)
+
+
+# --- angles --------------------------------------------------------------------------------------
+
+
+def turning(x: np.ndarray) -> np.ndarray:
+    angle = x[..., 0] + 0.1 * x[..., 1]
+    return np.stack(((angle + np.pi) % (2 * np.pi) - np.pi, x[..., 1]), axis=-1)
+
+
+def heading(**fields) -> OwnPlant:
+    given_ = {"f": turning, "Q": [1e-4, 1e-4], "mean": [0, 0.3], "cov": [0.05, 0.01], **fields}
+    return OwnPlant(**given_)
+
+
+@pytest.mark.parametrize("at", [0.0, 3.1, -3.1, 100.0])
+def test_a_jump_by_a_turn_is_found_and_refused_with_its_cure(at: float):
+    with pytest.raises(ValueError, match=r"f\(x\) jumps by 2 pi in state 0 .*angles=\(0,\)"):
+        heading(mean=[at, 0.3])
+    compass = OwnSensor(h=lambda x: turning(x)[..., :1], R=0.1)
+    with pytest.raises(
+        ValueError, match=r"h\(x\) jumps by 2 pi in entry 0 .*OwnSensor\(angles=\(0"
+    ):
+        require_sensors(heading(mean=[at, 0.3], angles=(0,)), [compass])
+
+
+def test_what_steps_by_no_turn_or_is_steep_is_no_jump():
+    heading(f=lambda x: np.floor(x) * 6.28)
+    heading(f=lambda x: np.stack((1e4 * np.tanh(20 * x[..., 0]), x[..., 1]), axis=-1))
+    heading(f=lambda x: np.where(x > 50, 1 / 0, x) if (x > 50).any() else x)
+
+
+@pytest.mark.parametrize(
+    ("angles", "says"),
+    [((2,), "must be some of the states 0 to 1"), ((0, 0), "each once"), ((-1,), "states 0 to 1")],
+)
+def test_angles_that_are_none_are_refused(angles: tuple[int, ...], says: str):
+    with pytest.raises(ValueError, match=says):
+        heading(angles=angles)
+
+
+def test_a_function_of_the_turn_is_refused_where_the_state_is_an_angle():
+    with pytest.raises(ValueError, match=r"state 0 is just below pi.* take it out of angles"):
+        heading(f=lambda x: 0.5 * x, angles=(0,))
+    with pytest.raises(ValueError, match=r"use the sine and cosine"):
+        require_sensors(heading(angles=(0,)), [OwnSensor(h=lambda x: 0.5 * x, R=[1, 1])])
+    require_sensors(heading(angles=(0,)), [OwnSensor(h=lambda x: np.cos(x), R=[1, 1])])
+
+
+@given(st.floats(-40, 40), st.floats(-300, 300))
+def test_a_turning_state_goes_on_counting_turns(angle: float, rate: float):
+    state = np.array([angle, rate])
+    moved = heading(angles=(0,)).transition(state, None, 0)
+    assert abs(moved[0] - angle) <= np.pi
+    assert np.exp(1j * moved[0]) == pytest.approx(np.exp(1j * (angle + 0.1 * rate)))
+    assert moved[1] == rate

@@ -27,7 +27,13 @@ from concord.nodes.rules.labelled.neighbour_records import (
 from concord.nodes.rules.labelled.record_choice import RecordChoice
 from concord.nodes.rules.labelled.record_sets import SILENCE, URGENCY, RecordSets, digest_of
 from concord.nodes.rules.labelled.source_gate import judged
-from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows, one_lane, steps_late
+from concord.nodes.rules.labelled.window_filter import (
+    WindowFilter,
+    Windows,
+    checkpoint_of,
+    one_lane,
+    steps_late,
+)
 from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names
 
 GAP_STEPS = 16  # of silence, after which a neighbour is owed a checkpoint
@@ -155,7 +161,7 @@ class LabelledFlooding:
         base = content.windows.base
         checkpoint = None
         if content.owed and not content.needs and self._has_common_base(content):
-            checkpoint = Gaussian(base.mean[0, 0], base.cov[0, 0])
+            checkpoint = checkpoint_of(self.filter, Gaussian(base.mean[0, 0], base.cov[0, 0]))
         kept = content.kept
         room = self.frames.room(kept.held, np.array(checkpoint is not None))
         costs = self.frames.costs(kept.lengths)

@@ -14,6 +14,7 @@ import numpy as np
 from concord.filters.filter import Filter
 from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.gaussian import Gaussian
+from concord.filters.turns import angles_of, beside
 from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
 from concord.nodes.rules.labelled.record_codec import RecordForm
@@ -270,11 +271,17 @@ class WindowFilter:
         return found
 
 
+def checkpoint_of(filter: WindowFilter, base: Gaussian) -> Gaussian:
+    """Return bases (..., n) as they are sent, with angles within half a turn of 0."""
+    return Gaussian(beside(base.mean, 0.0, angles_of(filter.model)), base.cov)
+
+
 def fuse_base(
     filter: WindowFilter, base: Gaussian, checkpoint: Gaussian
 ) -> tuple[Gaussian, np.ndarray, np.ndarray]:
     """Return bases (..., n) fused with checkpoints, where (...) it worked, and where it gained."""
-    fused = filter.fused(base, checkpoint)
+    mean = beside(checkpoint.mean, base.mean, angles_of(filter.model))
+    fused = filter.fused(base, Gaussian(mean, checkpoint.cov))
     sound = finite_lanes(fused)
     same = (fused.mean == base.mean).all(-1) & (fused.cov == base.cov).all((-1, -2))
     return fused, sound, sound & ~same

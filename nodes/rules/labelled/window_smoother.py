@@ -1,7 +1,5 @@
 """The smoothed past of a window: beliefs of its steps given all records that a lane holds."""
 
-from functools import partial
-
 import numpy as np
 
 from concord.filters.extended import ExtendedFilter
@@ -13,7 +11,7 @@ from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
 from concord.filters.smoother import Backward, backward, backward_affine, smooth
 from concord.filters.square_root import SquareRootFilter
 from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
-from concord.nodes.rules.local_filter import Model, with_state_noise
+from concord.nodes.rules.local_filter import Model, transition_of, with_state_noise
 
 
 def way_back(
@@ -25,7 +23,7 @@ def way_back(
     ones where they have none.
     """
     noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
-    transition = partial(model.transition, control=control, step=step - 1)
+    transition = transition_of(model, control, step - 1)
     n = beliefs.mean.shape[-1]
     while isinstance(filter, IteratedFilter):
         filter = filter.inner

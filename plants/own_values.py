@@ -1,0 +1,41 @@
+"""Values that describe a plant of the user's own: vectors, covariances, names."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def require_description(
+    states: int, time_step_s: float, names: Sequence[str], units: Sequence[str]
+) -> None:
+    """Refuse a time step of 0 or less, and names or units that are not those of all states."""
+    if not time_step_s > 0:
+        raise ValueError(f"time_step_s {time_step_s}: must be above 0")
+    for field, given in (("state_names", names), ("state_units", units)):
+        if given and len(given) != states:
+            raise ValueError(f"{field} {given}: must have {states} entries, one for each state")
+
+
+def vector_of(name: str, given: ArrayLike) -> np.ndarray:
+    """Return a vector (n,) of finite numbers; `name` is that of the argument in messages."""
+    vector = np.atleast_1d(np.asarray(given, dtype=float))
+    if vector.ndim != 1 or not np.isfinite(vector).all():
+        raise ValueError(f"{name} {given}: must be a vector of finite numbers")
+    return vector
+
+
+def covariance_of(name: str, given: ArrayLike, size: int) -> np.ndarray:
+    """Return a covariance (size, size) of a matrix or its diagonal; `name` as in `vector_of`."""
+    matrix = np.asarray(given, dtype=float)
+    if matrix.ndim < 2:
+        matrix = np.diag(np.atleast_1d(matrix))
+    if matrix.shape != (size, size):
+        raise ValueError(
+            f"{name} of shape {np.shape(given)}: must be {(size, size)}, or its diagonal {(size,)}"
+        )
+    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+        raise ValueError(f"{name}: must be finite and symmetric")
+    if np.linalg.eigvalsh(matrix).min() < -1e-12 * max(1.0, np.abs(matrix).max()):
+        raise ValueError(f"{name}: has a negative eigenvalue; a covariance has none")
+    return matrix
