@@ -13,8 +13,8 @@ import tyro
 from rich.console import Console
 
 from concord.disk import RunFailed
-from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep_options import FieldOptions
+from concord.experiments.cli.help import FIRST
+from concord.experiments.scenario_flags import FieldOptions, said_in
 from concord.experiments.user_errors import user_errors
 from concord.results.places import make_folder, new_name
 from concord.scenarios.preparation import prepare
@@ -41,9 +41,9 @@ FILE_WIDTH = 120
 class SweepOptions:
     """How much, where, and what to print."""
 
-    runs: int = 20
+    runs: Annotated[int, FIRST] = 20
     """Monte-Carlo runs of every cell. Run r has the same noise in every cell."""
-    latin_hypercube: int | None = None
+    latin_hypercube: Annotated[int | None, FIRST] = None
     """So many cells spread over the values and ranges (0.1..1) instead of every combination."""
     change_step: int = 0
     """The step from which settling is timed."""
@@ -52,7 +52,7 @@ class SweepOptions:
     keep: Literal["moments", "figures", "histories"] | None = None
     """Histories of every run, figures of every run, or moments and quantiles over the runs, whose
     size does not grow with the runs. Histories when left out, moments above 1e8 estimates."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), FIRST] = None
     """netCDF file for the result; runs/sweep-<date>.nc when left out. The same command goes on
     with a sweep that was interrupted."""
     pieces: Path | None = None
@@ -60,13 +60,13 @@ class SweepOptions:
     cells."""
     shard: str | None = None
     """Part of the work to compute, such as 3/10; `concord merge` makes the result of all parts."""
-    workers: int | None = None
+    workers: Annotated[int | None, FIRST] = None
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
     dask_tls: Path | None = None
     """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
-    json: bool = False
+    json: Annotated[bool, FIRST] = False
     """Print one JSON object instead of a table."""
 
 
@@ -74,7 +74,7 @@ def sweep(
     fields: Annotated[FieldOptions, tyro.conf.arg(name="")],
     output: Annotated[SweepOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
-    """Run every combination of the given values, and print how good and how dear each is."""
+    """Run all combinations of values; print error and cost."""
     out = output.out or Path("runs") / f"{new_name('sweep')}.nc"
     with user_errors():
         specification = with_keep(
