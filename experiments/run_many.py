@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 import msgspec
-from rich.console import Console
 
+from concord.experiments.standard_output import plain_console
 from concord.results.folder import Description, write_whole
 from concord.results.records.histories import RunCost
 from concord.results.records.histories_file import histories_dataset
@@ -77,7 +77,7 @@ def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(msgspec.json.encode(figures).decode() + "\n")
         return
-    console = Console()
+    console = plain_console()
     scenario = setup.scenario
     title = (
         f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
@@ -85,6 +85,6 @@ def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:
     )
     console.print(table(figures, title))
     for line in lines(figures):
-        console.print(line, highlight=False)
+        console.print(line)
     if figures.verdict is not None:
-        console.print(f"verdict: {figures.verdict}", style="bold", highlight=False)
+        console.print(f"verdict: {figures.verdict}", style="bold")

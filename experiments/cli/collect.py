@@ -12,8 +12,8 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 import numpy as np
 import tyro
-from rich.console import Console
 
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.figures.summary import Figures, summarise
 from concord.results.figures.summary_table import details, lines, opening, table
@@ -144,24 +144,24 @@ def _show(figures: Figures, description: Description, shown: FiguresForm) -> Non
     if shown.as_json:
         sys.stdout.write(msgspec.json.encode(figures).decode() + "\n")
         return
-    console = Console()
+    console = plain_console()
     scenario = description.setup.scenario
     title = (
         f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
         f"{scenario.rounds} rounds, seed {scenario.seed}, {description.driver}"
     )
     for line in opening(figures):
-        console.print(line, style="bold", highlight=False)
+        console.print(line, style="bold")
     console.print(table(figures, title))
     if figures.smoothing is not None:
-        console.print(smoothing_line(figures.smoothing, figures.unit), highlight=False)
+        console.print(smoothing_line(figures.smoothing, figures.unit))
     innovations = figures.innovations
     if innovations is not None and (shown.verbose or np.isnan(figures.rmse)):
         console.print(channel_table(innovations))
     for line in (*lines(figures), *(details(figures) if shown.verbose else ())):
-        console.print(line, highlight=False)
+        console.print(line)
     if figures.containment is None:
         for line in LEGEND:
-            console.print(line, style="dim", highlight=False)
+            console.print(line, style="dim")
     if figures.verdict is not None:
-        console.print(f"verdict: {figures.verdict}", style="bold", highlight=False)
+        console.print(f"verdict: {figures.verdict}", style="bold")

@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from concord.experiments.cli.help import FIRST
 from concord.experiments.cli.sweep import FILE_WIDTH
 from concord.experiments.scenario_flags import FieldOptions, said_in
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.places import new_name
 from concord.runtime.json_file import write_json
@@ -126,15 +126,14 @@ def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> 
         whole = {**msgspec.to_builtins(brief), "result": str(out), "seconds": seconds}
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return
-    console = Console()
-    console = console if console.is_terminal else Console(width=FILE_WIDTH)
+    console = plain_console(FILE_WIDTH)
     console.print(table(result))
     for line in lines(result):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     runs = sum(one.runs for one in (*result.tried, *result.attempts))
     console.print(
         f"{len(result.tried)} candidates, {runs} runs in {seconds:.0f} s, seed {result.seed}; "
-        f"result in {out}; `concord plot {out}` draws the front", highlight=False, soft_wrap=True,
+        f"result in {out}; `concord plot {out}` draws the front", soft_wrap=True,
     )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
 """`concord sweep`: every combination of what is swept, with intervals, in one file of results; and
 `concord merge`: the same from shards."""
 
+import csv
+import math
 import shlex
 import sys
 from collections.abc import Iterable, Iterator
@@ -10,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import tyro
-from rich.console import Console
 
-from concord.disk import RunFailed
+from concord.disk import RunFailed, writing
 from concord.experiments.cli.help import FIRST
 from concord.experiments.scenario_flags import FieldOptions, said_in
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.places import make_folder, new_name
 from concord.scenarios.preparation import prepare
@@ -29,12 +31,13 @@ from concord.studies.sweep.placements import in_words, over_placements
 from concord.studies.sweep.results import flattened
 from concord.studies.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
 from concord.studies.sweep.specification import Specification, specify
-from concord.studies.sweep.summary import figures_of, table
+from concord.studies.sweep.summary import SweepFigures, figures_of, table
 
 if TYPE_CHECKING:
     import xarray
 
 FILE_WIDTH = 120
+_CSV = ".csv"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +56,8 @@ class SweepOptions:
     """Histories of every run, figures of every run, or moments and quantiles over the runs, whose
     size does not grow with the runs. Histories when left out, moments above 1e8 estimates."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), FIRST] = None
-    """netCDF file for the result; runs/sweep-<date>.nc when left out. The same command goes on
-    with a sweep that was interrupted."""
+    """netCDF file for the result; runs/sweep-<date>.nc when left out. NAME.csv also writes the
+    table of figures, beside NAME.nc. The same command goes on with a sweep that was interrupted."""
     pieces: Path | None = None
     """Folder that keeps the computed pieces, for other sweeps that have the same runs of the same
     cells."""
@@ -75,7 +78,8 @@ def sweep(
     output: Annotated[SweepOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Run all combinations of values; print error and cost."""
-    out = output.out or Path("runs") / f"{new_name('sweep')}.nc"
+    asked = output.out or Path("runs") / f"{new_name('sweep')}.nc"
+    out = asked.with_suffix(".nc") if asked.suffix == _CSV else asked
     with user_errors():
         specification = with_keep(
             specify(
@@ -106,6 +110,25 @@ def sweep(
         _show_shard(swept, begun, output.json)
     else:
         _show(swept.dataset, swept, output.interval, output.json, out)
+        if asked != out:
+            _write_table(asked, figures_of(swept.dataset, output.interval))
+
+
+def _write_table(path: Path, figures: SweepFigures) -> None:
+    """Write a row for each cell: its values, then each figure with its interval."""
+    rows: list[dict[str, object]] = []
+    for one in figures.cells:
+        row: dict[str, object] = {**one.cell, "unit": figures.unit}
+        for name, interval in msgspec.structs.asdict(one).items():
+            if name != "cell":
+                bounds = (None if math.isnan(bound) else bound for bound in interval)
+                row |= dict(zip((name, f"{name}_low", f"{name}_high"), bounds, strict=True))
+        rows.append(row)
+    with writing(path), path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, rows[0])
+        table.writeheader()
+        table.writerows(rows)
+    sys.stderr.write(f"table in {path}\n")
 
 
 def _goes_on(output: SweepOptions, out: Path) -> str:
@@ -233,16 +256,14 @@ def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool,
                  "node_updates_per_second": rate, "result": str(out)}  # fmt: skip
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return
-    console = Console()
-    # A file or a pipe has no width to keep to.
-    console = console if console.is_terminal else Console(width=FILE_WIDTH)
+    console = plain_console(FILE_WIDTH)
     console.print(table(figures, dataset, console.width))
     for one in spreads:
-        console.print(in_words(one), highlight=False, soft_wrap=True)
+        console.print(in_words(one), soft_wrap=True)
     if swept.computed_pieces:
         every = swept.found_pieces + swept.computed_pieces
         console.print(
             f"computed {swept.computed_pieces} of {every} pieces in {swept.seconds:.1f} s: "
-            f"{swept.node_updates} node-updates, {rate:.3g} per second", highlight=False,
+            f"{swept.node_updates} node-updates, {rate:.3g} per second",
         )  # fmt: skip
-    console.print(f"result in {out}; `concord plot {out}` draws it", highlight=False)
+    console.print(f"result in {out}; `concord plot {out}` draws it")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich import box
-from rich.markup import escape
 from rich.table import Table
 
 from concord.results.bus import bus_report
@@ -43,7 +42,7 @@ def table(figures: Figures, title: str) -> Table:
 def _headings(figures: Figures) -> tuple[str, ...]:
     """The columns between the node and its traffic."""
     # Rich would take [m] for a style.
-    unit = escape(f"[{figures.unit}]")
+    unit = f"[{figures.unit}]"
     if figures.containment is not None:
         return f"RMSE {unit}", "out", "largest", "√tr P"
     if _without_truth(figures):

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 from rich import box
-from rich.markup import escape
 from rich.table import Table
 
 from concord.filters.gaussian import Gaussian
@@ -140,7 +139,7 @@ def channel_table(figures: InnovationFigures) -> Table:
         grid.add_column(heading, justify="right", no_wrap=True)
     for one in figures.channels:
         grid.add_row(
-            f"{one.node}: {one.name}{escape(f' [{one.unit}]') if one.unit else ''}",
+            f"{one.node}: {one.name}{f' [{one.unit}]' if one.unit else ''}",
             str(one.updates), short(one.nis), _mean(one),
             "-" if one.correlation is None else f"{one.correlation:.2f}",
         )  # fmt: skip

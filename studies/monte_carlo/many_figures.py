@@ -2,7 +2,6 @@
 
 import msgspec
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from concord.filters.gaussian import Gaussian
@@ -180,7 +179,7 @@ def _frames(histories: Histories, name: str) -> np.ndarray:
 
 def table(figures: ManyFigures, title: str) -> Table:
     """A row per node of a network that is not too large, then the network, then its frame."""
-    unit = escape(f"[{figures.unit}]")
+    unit = f"[{figures.unit}]"
     grid = Table(title=title, title_justify="left")
     for heading in ("node", f"RMSE {unit}", f"alone {unit}", "ANEES"):
         grid.add_column(heading, justify="right")

@@ -112,7 +112,7 @@ def test_errors_near_a_sighting_count_the_steps_after_it(mrclam_folder: Path):
 
 
 def shown(figures: Figures) -> str:
-    console = Console(width=100, record=True, file=StringIO())
+    console = Console(markup=False, width=100, record=True, file=StringIO())
     console.print(table(figures, "a title"))
     return console.export_text() + "\n".join(lines(figures))
 
@@ -128,7 +128,7 @@ def test_the_table_has_a_row_for_each_node_and_frames_the_network():
 
 
 def test_no_name_is_cut_at_eighty_columns():
-    console = Console(width=80, record=True, file=StringIO())
+    console = Console(markup=False, width=80, record=True, file=StringIO())
     long = {"rmse": 0.001299, "rmse_local_only": 0.001884, "sent": 540000, "heard": 180000}
     nodes = [msgspec.structs.replace(node, **long) for node in FIGURES.nodes]
     for figures in (FIGURES, msgspec.structs.replace(FIGURES, unit="rad", nodes=nodes)):
