@@ -3,8 +3,9 @@
 An entry is a name with what stands behind it: `name: (target, summary)` or `name: (target, summary,
 options)`. The target is "module:MEMBER" and is imported when the entry is chosen. The summary is
 one sentence for lists and help. The options are "module:Class" of the typed value that chooses the
-entry on the command line. An `entries` module holds such tables under the names of `KINDS`, and
-imports nothing. A package adds a table by an entry point of the group `concord.features`.
+entry on the command line; a command has its door there, one of `DOORS`. An `entries` module holds
+such tables under the names of `KINDS`, and imports nothing. A package adds a table by an entry
+point of the group `concord.features`.
 """
 
 import pkgutil
@@ -32,6 +33,8 @@ KINDS = {
     "NAMES": "a public name of the package concord",
 }
 """The target of an entry, by the name of its table."""
+DOORS = ("start", "study", "bus", "page", "several hosts", "packages")
+"""The headings of the help; commands without a door are under the last one."""
 _GROUP = "concord.features"
 
 
@@ -41,6 +44,7 @@ class Entry(NamedTuple):
     target: str
     summary: str
     options: str = ""
+    door: str = DOORS[-1]
 
 
 class _Source(NamedTuple):
@@ -66,7 +70,10 @@ def entries(kind: str) -> dict[str, Entry]:
                     f"{kind.lower()} {name!r} of {owner}: {owners[name]} has the name already; "
                     f"uninstall one of both, or rename the entry in {module.__name__}"
                 )
-            found[name], owners[name] = Entry(*row), owner
+            found[name] = Entry(*row)
+            if kind == "COMMANDS" and len(row) > 2:
+                found[name] = Entry(*row[:2], door=row[2])
+            owners[name] = owner
     return found
 
 

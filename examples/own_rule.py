@@ -22,4 +22,6 @@ def cautious(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
 if __name__ == "__main__":
     scenario = cc.scenario("oscillator", nodes=6, steps=60)
     table = cc.sweep(scenario, rule=["ci", "wac", cautious], runs=10)
-    print(table["rmse"].mean("run").to_series())
+    error = table["rmse"].mean("run").to_series()
+    # A rule of a file has its path in its name.
+    print(error.rename(lambda rule: rule.rpartition("/")[2]).to_string())

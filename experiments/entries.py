@@ -7,57 +7,65 @@ _STUDIES = "concord.experiments.python_studies"
 COMMANDS = {
     "run": (
         f"{_CLI}.run:run",
-        "Run a scenario, once or many times, and print how well its nodes did.",
+        "Run a network, and print how well each of its nodes did.",
+        "start",
     ),
-    "collect": (
-        f"{_CLI}.collect:collect",
-        "Finish the recording of a run that was interrupted; make its arrays, capture and figures.",
-    ),
-    "audit": (
-        f"{_CLI}.audit:audit_folder",
-        "Account for each estimate, share, step, join and death of a run, from its "
-        "recording; the exit code is 1 if a promise is broken.",
-    ),
-    "dashboard": (
-        f"{_CLI}.dashboard:dashboard",
-        "Watch and control a network that runs, in the browser.",
-    ),
-    "replay": (
-        f"{_CLI}.dashboard:replay",
-        "Show a recorded run in the browser: its run.mcap or its folder; or the result of a sweep.",
-    ),
-    "control": (
-        f"{_CLI}.control:control",
-        "Pause, kill, cut or change a network that runs; exit code 2 if it refuses.",
+    "new": (
+        f"{_CLI}.new:new",
+        "Write a folder with a plant, a rule, tests, a sweep and a figure of your own.",
+        "start",
     ),
     "list": (
         f"{_CLI}.list:list_all",
         "List scenarios, rules, filters, faults, and names that options of network and bus take.",
-    ),
-    "agree": (
-        f"{_CLI}.agree:agree",
-        "Run a scenario in every driver; exit code 1 if they do not agree.",
+        "start",
     ),
     "check": (
         f"{_CLI}.check:check",
         "Check the promises of a rule, a filter, an arbiter or a scenario in drawn cases;"
         " the exit code is 1 if one is broken.",
+        "start",
     ),
-    "new": (
-        f"{_CLI}.new:new",
-        "Write a folder with a plant, a rule, tests, a sweep and a figure of your own.",
+    "agree": (
+        f"{_CLI}.agree:agree",
+        "Run a scenario in every driver; exit code 1 if they do not agree.",
+        "start",
+    ),
+    "collect": (
+        f"{_CLI}.collect:collect",
+        "Finish the recording of a run that was interrupted; make its arrays, capture and figures.",
+        "start",
+    ),
+    "audit": (
+        f"{_CLI}.audit:audit_folder",
+        "Account for each estimate, share, step, join and death of a run, from its "
+        "recording; the exit code is 1 if a promise is broken.",
+        "start",
+    ),
+    "doctor": (
+        f"{_CLI}.doctor:doctor",
+        "Look whether this machine can run a network; exit code 1 if something is failing.",
+        "start",
+    ),
+    "help": (
+        f"{_CLI}.command_line:show_help",
+        "Explain concord or one of its commands.",
+        "start",
+    ),
+    "version": (
+        f"{_CLI}.command_line:print_version",
+        "Print the version of concord, as `concord --version` does.",
+        "start",
+    ),
+    "completion": (
+        f"{_CLI}.command_line:print_completion",
+        "Print the script with which a shell completes commands and options.",
+        "start",
     ),
     "sweep": (
         f"{_CLI}.sweep:sweep",
-        "Run every combination of the given values, and print how good and how dear each is.",
-    ),
-    "merge": (
-        f"{_CLI}.sweep:merge",
-        "Make the result of a sweep from the folders of its shards.",
-    ),
-    "compare": (
-        f"{_CLI}.compare:compare",
-        "Compare all fusion rules, and your own, on a fixed suite of cases with fixed noise.",
+        "Run all combinations of values; print error and cost.",
+        "study",
     ),
     "design": (
         f"{_CLI}.design:design",
@@ -65,34 +73,47 @@ COMMANDS = {
         "or are looked for among the given values; graph, rule, weights, rounds, "
         "occupancy, schedule, formats of numbers and relay are open. The network must "
         "bear all placements given: runs take one after the other.",
+        "study",
+    ),
+    "compare": (
+        f"{_CLI}.compare:compare",
+        "Compare all fusion rules, and your own, on a fixed suite of cases with fixed noise.",
+        "study",
     ),
     "plot": (
         f"{_CLI}.plot:plot",
         "Draw a result.",
+        "study",
     ),
     "report": (
         f"{_CLI}.report:report",
         "Write a result as one self-contained page.",
+        "study",
+    ),
+    "merge": (
+        f"{_CLI}.sweep:merge",
+        "Make the result of a sweep from the folders of its shards.",
+        "study",
     ),
     "topology": (
         f"{_CLI}.topology:COMMANDS",
         "Graphs: show, analyse, compare, generate.",
+        "study",
     ),
-    "doctor": (
-        f"{_CLI}.doctor:doctor",
-        "Look whether this machine can run a network; exit code 1 if something is failing.",
+    "replay": (
+        f"{_CLI}.dashboard:replay",
+        "Show a recorded run in the browser: its run.mcap or its folder; or the result of a sweep.",
+        "page",
     ),
-    "help": (
-        f"{_CLI}.command_line:show_help",
-        "Explain concord or one of its commands.",
+    "dashboard": (
+        f"{_CLI}.dashboard:dashboard",
+        "Watch and control a network that runs, in the browser.",
+        "page",
     ),
-    "version": (
-        f"{_CLI}.command_line:print_version",
-        "Print the version of concord, as `concord --version` does.",
-    ),
-    "completion": (
-        f"{_CLI}.command_line:print_completion",
-        "Print the script with which a shell completes commands and options.",
+    "control": (
+        f"{_CLI}.control:control",
+        "Pause, kill, cut or change a network that runs; exit code 2 if it refuses.",
+        "page",
     ),
 }
 NAMES = {

@@ -1,9 +1,7 @@
-"""The flags of a scenario, group by group, made from the declared options."""
+"""The flags of a scenario, made from the declared options, and the scenario that they mean."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from dataclasses import field, fields, make_dataclass
-from functools import reduce
-from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -11,93 +9,58 @@ import tyro
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import OfferedOption, offered_options, scenario_of
 from concord.studies.memory import check_memory
-
-GROUPS = {
-    "plant": "Simulated plant.",
-    "network": "Nodes and who hears whom.",
-    "rule": "How nodes fuse what they hear.",
-    "bus": "How shares travel.",
-    "filter": "How a node filters its readings.",
-    "faults": "Faults of links and processes.",
-    "run": "How long, and with which randomness.",
-}
-
-_METAVARS = {int: "INT", float: "FLOAT", str: "TEXT"}
-Flag = tuple[Any, Any]
-"""The type of a flag and its default."""
+from concord.studies.sweep.specification import FIELDS, value_of
 
 
-def grouped_flags(
-    name: str, says: str, flag: Callable[[OfferedOption], Flag], without: tuple[str, ...] = ()
-) -> type:
-    """A class with a class of flags for each group of options."""
-    groups = []
-    for group, meaning in GROUPS.items():
-        made = [
-            (one.name, *_with_default(flag(one)))
-            for one in offered_options().values()
-            if one.group == group and one.name not in without
-        ]
-        options = make_dataclass(f"{group.title()}{name}", made, frozen=True, kw_only=True)
-        options.__doc__ = meaning
-        kept = Annotated[options, tyro.conf.OmitArgPrefixes]
-        groups.append((group, kept, field(default_factory=options)))
-    found = make_dataclass(name, groups, frozen=True, kw_only=True)
-    found.__doc__ = says
-    return found
+def flags_of(name: str, options: Iterable[OfferedOption], listing: bool) -> type:
+    """Return a class with a flag for each option.
+
+    A flag reads a text. In a class that is not `listing`, a truth value has --NAME and --no-NAME,
+    and a list of words reads several.
+    """
+    made = []
+    for one in options:
+        kind, default = str | None, None
+        if not listing and one.kinds == (bool,):
+            kind, default = bool, one.default
+        elif not listing and one.default == ():
+            kind, default = tuple[str, ...], ()
+        described = Annotated[kind, tyro.conf.arg(help=one.help)]
+        made.append((one.name, described, field(default=default)))
+    # The help of a command reads these options where they are declared.
+    namespace = {"lists_of_values": listing}
+    return make_dataclass(name, made, frozen=True, kw_only=True, namespace=namespace)
 
 
 def said_in(flags: Any) -> dict[str, Any]:
-    """Return the flags that were given, of all groups."""
-    return dict(_said_in(flags))
-
-
-def _said_in(flags: Any) -> Iterator[tuple[str, Any]]:
-    for group in fields(flags):
-        values = getattr(flags, group.name)
-        for one in fields(values):
-            value = getattr(values, one.name)
-            if value != one.default:
-                yield one.name, value
-
-
-def _with_default(flag: Flag) -> tuple[Any, Any]:
-    annotation, default = flag
-    return annotation, field(default=default)
-
-
-def _typed(option: OfferedOption) -> Flag:
-    """A flag that reads one value; a truth value has --NAME and --no-NAME."""
-    if option.kinds == (bool,):
-        return Annotated[bool, tyro.conf.arg(help=option.help)], option.default
-    kind = reduce(or_, (*option.kinds, type(None)))
-    shown = tyro.conf.arg(
-        help=option.help,
-        metavar=_METAVARS.get(option.kinds[0], "TEXT .."),
-        help_behavior_hint=option.default_in_words,
-    )
-    return Annotated[kind, shown], None
-
-
-def texts(metavar: str, left_out: str | None = None) -> Callable[[OfferedOption], Flag]:
-    """Flags that read a text each; `left_out` says in the help what holds without the flag, in
-    place of the default."""
-
-    def flag(option: OfferedOption) -> Flag:
-        hint = option.default_in_words if left_out is None else left_out
-        shown = tyro.conf.arg(help=option.help, metavar=metavar, help_behavior_hint=hint)
-        return Annotated[str | None, shown], None
-
-    return flag
+    """Return the flags that were given."""
+    every = ((one.name, getattr(flags, one.name), one.default) for one in fields(flags))
+    return {name: value for name, value, default in every if value != default}
 
 
 if TYPE_CHECKING:
 
     class ScenarioFlags:
-        """Options of a scenario that the user has given, by group."""
+        """Options of a scenario that the user has given."""
+
+    class FieldOptions:
+        """Comma lists (ring,path), or low..high for whole numbers, of each option of a scenario."""
 
 else:
-    ScenarioFlags = grouped_flags("Options", "Simulated plant.", _typed)
+    ScenarioFlags = flags_of("ScenarioFlags", offered_options().values(), listing=False)
+    FieldOptions = flags_of("FieldOptions", FIELDS.values(), listing=True)
+
+
+def values_in(flags: ScenarioFlags) -> dict[str, Any]:
+    """Return the options that were given, as values of their types.
+
+    Raises:
+        ValueError: a text that is no number where one is needed.
+    """
+    return {
+        name: value_of(name, value) if isinstance(value, str) else value
+        for name, value in said_in(flags).items()
+    }
 
 
 def resolved(flags: ScenarioFlags) -> Scenario:
@@ -107,6 +70,6 @@ def resolved(flags: ScenarioFlags) -> Scenario:
         ValueError: there is no such scenario, an option that it cannot have, or more steps than
             the memory holds.
     """
-    scenario = scenario_of(**said_in(flags))
+    scenario = scenario_of(**values_in(flags))
     check_memory(scenario)
     return scenario

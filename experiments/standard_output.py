@@ -8,9 +8,14 @@ import sys
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from concord.disk import NotWritten
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 BROKEN_PIPE = 128 + signal.SIGPIPE
 _PLAIN = {
@@ -33,6 +38,19 @@ def prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="concord")
+
+
+def plain_console(file_width: int | None = None) -> "Console":
+    """Return a console that prints names as they are: no markup, emoji or coloured numbers.
+
+    A file or a pipe, which has no width to keep to, gets `file_width` characters.
+    """
+    # Only here: help and errors do without it.
+    from rich.console import Console
+
+    plain = partial(Console, markup=False, emoji=False, highlight=False)
+    console = plain()
+    return console if console.is_terminal or file_width is None else plain(width=file_width)
 
 
 @contextmanager

@@ -4,5 +4,6 @@ COMMANDS = {
     "reproduce": (
         "concord.papers.reproduce:reproduce",
         "Reproduce a paper; exit code 1 if a check fails.",
+        "study",
     ),
 }

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console
 
 from concord.disk import RunFailed
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.papers.kit.report import (
     REPORT,
@@ -99,7 +99,7 @@ def _show(report: ReproductionReport, folder: Path, as_json: bool) -> None:
     # Only here: it takes a tenth of a second to import.
     from rich.markdown import Markdown
 
-    console = Console()
+    console = plain_console()
     for section in report.sections:
         if section.shown:
             console.print(Markdown(f"## {section.title}\n\n{section.text}"))

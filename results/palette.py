@@ -16,6 +16,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", "--", ":", "-.")
 # Runs evenly from dark to light, also in grey and for the colour blind.
 SEQUENTIAL = "cividis"
+# Inches and points on paper.
+_LEAST_HEIGHT, _LEAST_FONT = 2.4, 6.0
 
 
 class Style(NamedTuple):
@@ -38,7 +40,7 @@ def styles(values: Sequence[object]) -> dict[str, Style]:
     }
 
 
-def use_house_style() -> None:
+def use_house_style(dots_per_inch: int = 130) -> None:
     """Set matplotlib up; nothing is drawn on a screen."""
     import matplotlib
 
@@ -46,7 +48,7 @@ def use_house_style() -> None:
     matplotlib.rcParams.update(
         {
             "figure.dpi": 130,
-            "savefig.dpi": 130,
+            "savefig.dpi": dots_per_inch,
             "font.size": 9,
             "axes.titlesize": 9,
             "axes.spines.top": False,
@@ -56,6 +58,9 @@ def use_house_style() -> None:
             "grid.linewidth": 0.6,
             "axes.axisbelow": True,
             "legend.frameon": False,
+            "legend.handlelength": 1.4,
+            "legend.handletextpad": 0.5,
+            "legend.columnspacing": 1.2,
             "lines.linewidth": 1.5,
             "lines.markersize": 5,
             # Equal results give equal files.
@@ -80,6 +85,27 @@ def plain_numbers(axis: Any) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def without_title(figure: "Figure") -> None:
+    """Take the title of a figure away, and that of its only panel; several panels keep theirs."""
+    figure.suptitle("").set_in_layout(False)
+    if len(panels := [axes for axes in figure.axes if axes.get_subplotspec() is not None]) == 1:
+        panels[0].set_title("", loc="left")
+        panels[0].set_title("")
+
+
+def fit_width(figure: "Figure", width: float) -> None:
+    """Give a figure a width in inches; its text shrinks with it, as far as a reader can read it."""
+    from matplotlib.text import Text
+
+    ratio = width / figure.get_figwidth()
+    figure.set_size_inches(width, max(figure.get_figheight() * ratio, _LEAST_HEIGHT))
+    for found in figure.findobj(Text):
+        assert isinstance(found, Text)
+        found.set_fontsize(
+            min(found.get_fontsize(), max(_LEAST_FONT, found.get_fontsize() * ratio))
+        )
 
 
 def save(figure: "Figure", path: Path) -> None:

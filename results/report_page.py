@@ -1,4 +1,4 @@
-"""A report as a page: headings, paragraphs, tables and pictures, written as HTML or as Markdown."""
+"""A report as a page: headings, paragraphs, tables and pictures, as HTML, Markdown or LaTeX."""
 
 import base64
 import html
@@ -20,6 +20,11 @@ img { max-width: 100%; }
 pre { background: #f5f5f5; padding: 8px; overflow-x: auto; }
 .wide { overflow-x: auto; }
 """
+
+_LATEX = {"\\": r"\textbackslash{}", **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+          "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "×": r"$\times$",
+          "µ": r"$\mu$", "²": "$^2$", "°": r"$^\circ$", "√": r"$\surd$"}  # fmt: skip
+_ROWS_OF_A_PAGE = 45
 
 
 class Heading(NamedTuple):
@@ -82,6 +87,32 @@ def as_html(title: str, parts: Sequence[PagePart]) -> str:
 def as_markdown(parts: Sequence[PagePart]) -> str:
     """Return the page as Markdown; pictures are inside, as data."""
     return "\n\n".join(_markdown(part) for part in parts) + "\n"
+
+
+def as_latex(parts: Sequence[PagePart]) -> str:
+    """Return the tables for a LaTeX document, and all other text as comments; no pictures."""
+    found = "\n".join(filter(None, map(_latex, parts)))
+    needs = ["booktabs", *(["longtable"] if r"\begin{longtable}" in found else [])]
+    return f"% \\usepackage{{{','.join(needs)}}}\n{found}\n"
+
+
+def _latex(part: PagePart) -> str:
+    match part:
+        case Heading(text) | Paragraph(text) | Code(text):
+            return "\n".join(f"% {line}".rstrip() for line in text.splitlines())
+        case Grid(head, rows, texts):
+            is_long = len(rows) > _ROWS_OF_A_PAGE
+            kind = "longtable" if is_long else "tabular"
+            columns = "l" * texts + "r" * (len(head) - texts)
+            top, *lines = (rf"{' & '.join(map(_in_latex, row))} \\" for row in (head, *rows))
+            begin = [rf"\begin{{{kind}}}{{{columns}}}", r"\toprule", top, r"\midrule"]
+            above = [r"\endhead"] if is_long else []
+            return "\n".join((*begin, *above, *lines, r"\bottomrule", rf"\end{{{kind}}}"))
+    return ""
+
+
+def _in_latex(text: str) -> str:
+    return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
 def _html(part: PagePart) -> str:

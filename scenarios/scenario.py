@@ -47,25 +47,28 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         PlantChoice,
         Option("Which plant with its sensors; `concord list` names them; FILE.py:NAME is your own.",
                group="plant",
-               flag="scenario"),
+               flag="scenario", first=True),
     ]  # fmt: skip
     network: Annotated[SensorNetwork, Option("", group="network")]
     rule: Annotated[
-        RuleChoice, Option("Fusion rule; FILE.py:NAME is your own.", group="rule", is_setting=True)
+        RuleChoice,
+        Option("Fusion rule; FILE.py:NAME is your own.", group="rule", is_setting=True, first=True),
     ] = CovarianceIntersection()
     rounds: Annotated[
         int,
         Option("Consensus iterations per step, one communication cycle each.", group="rule",
-               at_least=1, is_setting=True),
+               at_least=1, is_setting=True, first=True),
     ] = 3  # fmt: skip
     bus: Annotated[
-        BusChoice, Option("Bus that the nodes share; FILE.py:NAME is your own.", group="bus")
+        BusChoice,
+        Option("Bus that the nodes share; FILE.py:NAME is your own.", group="bus", first=True),
     ] = FlexRay()
     filter: Annotated[
-        FilterChoice, Option("Filter of the nodes; FILE.py:NAME is your own.", group="filter")
+        FilterChoice,
+        Option("Filter of the nodes; FILE.py:NAME is your own.", group="filter", first=True),
     ] = UnscentedFilter()
-    steps: Annotated[int, Option("Sampling instants to simulate.", at_least=1)]
-    seed: Annotated[int, Option("Seed of everything random.", at_least=0)] = 1
+    steps: Annotated[int, Option("Sampling instants to simulate.", at_least=1, first=True)]
+    seed: Annotated[int, Option("Seed of everything random.", at_least=0, first=True)] = 1
     run: Annotated[
         int, Option("Number of the run in a Monte Carlo under one seed.", at_least=0)
     ] = 0
@@ -75,7 +78,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             'Changes to the network, each with its step: "10 kill 3" "20 restart 3" '
             '"25 cut 1 2" "30 heal 1 2" "40 loss 0.2" "50 corrupt 0.05" "60 set rule=hcmci '
             'rounds=2" (docs/faults.md has all words); file:PATH reads them from a file, one in '
-            "each line.", group="faults",
+            "each line.", group="faults", first=True,
         ),
     ] = ()  # fmt: skip
 

@@ -1,16 +1,26 @@
 """The options of a scenario: generated from the types that declare them, and what they mean."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
-from concord.scenarios.catalogue import definition_named, definition_of, definitions
+from concord.scenarios.catalogue import definition_named, definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import with_files
 from concord.scenarios.types.assignment import flat, refuse_left
 from concord.scenarios.types.declarations import Declaration, Owned, every_option
 
 DEFAULT_SCENARIO = "target-tracking"
+GROUPS = {
+    "plant": "Simulated plant.",
+    "network": "Nodes and who hears whom.",
+    "rule": "How nodes fuse what they hear.",
+    "bus": "How shares travel.",
+    "filter": "How a node filters its readings.",
+    "faults": "Faults of links and processes.",
+    "run": "How long, and with which randomness.",
+}
+"""The headings of the help and of docs/options.md, in their order."""
 
 
 class OfferedOption(NamedTuple):
@@ -40,6 +50,11 @@ class OfferedOption(NamedTuple):
         return (str,) if self.names else self.declaration.kinds
 
     @property
+    def is_choice(self) -> bool:
+        """Whether its values have options in turn."""
+        return bool(self.declaration.choices)
+
+    @property
     def owners(self) -> str:
         """The choices that have the option: "--rule ci, wac"; "" where every scenario has it."""
         found: dict[str, list[str]] = {}
@@ -61,18 +76,6 @@ class OfferedOption(NamedTuple):
         return usual.get(self.name, self.declaration.default)
 
     @property
-    def varies(self) -> bool:
-        """Whether the scenarios have several defaults for it."""
-        if self.name == "scenario":
-            return False
-        values = {
-            str(chosen[self.name])
-            for chosen in (flat(definition.defaults) for definition in definitions().values())
-            if self.name in chosen
-        }
-        return len(values) > 1
-
-    @property
     def help(self) -> str:
         """Meaning, names, unit, range and owners of the option."""
         says = self.declaration.says
@@ -86,23 +89,49 @@ class OfferedOption(NamedTuple):
             facts.append(f"for {self.owners}")
         return f"{text}." + (f" ({'; '.join(facts)})" if facts else "")
 
-    @property
-    def default_in_words(self) -> str:
-        """Its default as `--help` shows it."""
-        value = self.default
-        shown = {None: "computed", (): "none"}.get(value, value)
-        is_usual = self.name in flat(definition_named(DEFAULT_SCENARIO).defaults)
-        varies = f" for {DEFAULT_SCENARIO}" if is_usual and self.varies else ""
-        return f"(default: {shown}{varies})"
+
+def standing(asked: Mapping[str, str]) -> Callable[[OfferedOption], tuple[str, bool]]:
+    """Return a function that tells how an option stands beside the values that are asked for.
+
+    It returns the default in words, and whether the short help shows the option: a usual one, or
+    one of a value that is asked for.
+
+    Raises:
+        ValueError: an unknown name of a value.
+    """
+    usual = definition_named(asked.get("scenario", DEFAULT_SCENARIO)).defaults
+    options = offered_options()
+    choices = {n: name for n, name in asked.items() if n in options and options[n].is_choice}
+    chosen = flat(usual.with_known(**choices)[0])
+    defaults = chosen | {name: flat(usual).get(name) for name in choices}
+
+    def stands(option: OfferedOption) -> tuple[str, bool]:
+        value = defaults.get(option.name, option.declaration.default)
+        words = {None: "computed", (): "none"}.get(value, value)
+        here = [
+            one
+            for one in option.owned
+            if all(chosen.get(choice) == name for choice, name in one.owners if choice in choices)
+        ]
+        is_asked_for = any(
+            any(choice in choices for choice, _ in one.owners)
+            and all(chosen.get(choice) == name for choice, name in one.owners)
+            for one in here
+        )
+        is_usual = any(one.declaration.says.first for one in here)
+        return f"(default: {words})", is_usual or is_asked_for
+
+    return stands
 
 
 @cache
 def offered_options() -> dict[str, OfferedOption]:
-    """Every option of a scenario by its name, in the order of declaration."""
+    """Every option of a scenario by its name, group by group in the order of declaration."""
     found: dict[str, list[Owned]] = {}
     for one in every_option(Scenario):
         found.setdefault(one.declaration.name, []).append(one)
-    return {name: OfferedOption(name, tuple(owned)) for name, owned in found.items()}
+    options = [OfferedOption(name, tuple(owned)) for name, owned in found.items()]
+    return {one.name: one for group in GROUPS for one in options if one.group == group}
 
 
 def scenario_of(scenario: str = DEFAULT_SCENARIO, **options: Any) -> Scenario:
@@ -137,7 +166,7 @@ def scenario_with_known(
 def in_options(scenario: Scenario) -> list[str]:
     """The words of the command line that say a scenario of a name, without its defaults."""
     usual, chosen = definition_of(scenario).defaults, flat(scenario)
-    is_choice = {name: bool(offered_options()[name].declaration.choices) for name in chosen}
+    is_choice = {name: offered_options()[name].is_choice for name in chosen}
     choices = {name: value for name, value in chosen.items() if is_choice[name]}
     before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])
     words: list[str] = []

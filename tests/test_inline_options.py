@@ -26,7 +26,7 @@ def options_of(command: tuple[str, ...]) -> frozenset[str]:
 def _help(command: tuple[str, ...]) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), pytest.raises(SystemExit):
-        main([*command, "--help"])
+        main([*command, "--help-all"])
     return out.getvalue()
 
 

@@ -12,9 +12,8 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.text import Text
 
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import FAILED, user_errors
 from concord.results.figures.summary import Summary, heard_by_all, summarise
 from concord.results.figures.summary_table import (
@@ -169,11 +168,11 @@ def show(
         told = figures if better is None else figures.with_details(labelled=better._asdict())
         sys.stdout.write(told.as_json().decode() + "\n")
         return
-    console, scenario = Console(), description.setup.scenario
+    console, scenario = plain_console(), description.setup.scenario
     first, *others = opening(figures, scenario, description.driver)
-    console.print(Text(first), style="bold", highlight=False)
+    console.print(first, style="bold")
     for line in others:
-        console.print(Text(line), highlight=False)
+        console.print(line)
     if shown.verbose or len(figures.nodes) <= MOST_ROWS:
         console.print(table(figures, title_of(scenario, description.driver)))
     innovations = figures.innovations
@@ -182,12 +181,12 @@ def show(
     smoothing = figures.details.get("smoothing")
     more = [] if smoothing is None else [smoothing_line(smoothing, figures.unit)]
     for line in (*more, *lines(figures), *(details(figures) if shown.verbose else ())):
-        console.print(Text(line), highlight=False)
+        console.print(line)
     if shown.verbose:
         for line in LEGEND:
-            console.print(line, style="dim", highlight=False)
+            console.print(line, style="dim")
     for line in (f"Files: {folder}", *_next(figures, folder, better, shown.verbose)):
-        console.print(Text(line), highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
 
 
 def _next(

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from concord.disk import RunFailed
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.places import make_folder
 from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
@@ -79,12 +79,10 @@ def compare(options: Annotated[CompareOptions, tyro.conf.arg(name="")]) -> None:
     if options.json:
         sys.stdout.write(as_json(found).decode() + "\n")
         return
-    console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH)
+    console = plain_console(WIDTH)
     print_comparison(found, console)
     console.print(
         f"computed {can_run - len(done)} entries in {seconds:.1f} s; {out}/report.html",
-        highlight=False,
     )
 
 

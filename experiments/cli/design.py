@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
+from concord.experiments.cli.help import FIRST
 from concord.experiments.cli.sweep import FILE_WIDTH
-from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep_options import FieldOptions
+from concord.experiments.scenario_flags import FieldOptions, said_in
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.places import new_name
 from concord.runtime.json_file import write_json
@@ -43,26 +43,26 @@ from concord.studies.sweep.workers import WorkerLost
 class DesignOptions:
     """Target of the design, cost to minimise, and confidence."""
 
-    target_rmse: str
+    target_rmse: Annotated[str, FIRST]
     """Error to be met: 1.5x-centralised, 2x-bound, or a number in the scenario's unit."""
-    minimise: Cost = "bytes"
+    minimise: Annotated[Cost, FIRST] = "bytes"
     """Cost to minimise: bytes or microseconds of the bus per step, nodes that publish per cycle, or
     energy per step."""
     latency_ms: float | None = None
     """Longest delay from a measurement to the end of the last share of its step."""
     load: float | None = None
     """Greatest share of a cycle in which the bus carries frames."""
-    runs: int = 100
+    runs: Annotated[int, FIRST] = 100
     """Fresh runs that confirm the recommended network."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), FIRST] = None
     """JSON file for the result; runs/design-<date>.json when left out. It must not exist."""
-    workers: int | None = None
+    workers: Annotated[int | None, FIRST] = None
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
     dask_tls: Path | None = None
     """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
-    json: bool = False
+    json: Annotated[bool, FIRST] = False
     """Print one JSON object instead of tables."""
 
 
@@ -126,15 +126,14 @@ def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> 
         whole = {**msgspec.to_builtins(brief), "result": str(out), "seconds": seconds}
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return
-    console = Console()
-    console = console if console.is_terminal else Console(width=FILE_WIDTH)
+    console = plain_console(FILE_WIDTH)
     console.print(table(result))
     for line in lines(result):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     runs = sum(one.runs for one in (*result.tried, *result.attempts))
     console.print(
         f"{len(result.tried)} candidates, {runs} runs in {seconds:.0f} s, seed {result.seed}; "
-        f"result in {out}; `concord plot {out}` draws the front", highlight=False, soft_wrap=True,
+        f"result in {out}; `concord plot {out}` draws the front", soft_wrap=True,
     )  # fmt: skip
 
 

@@ -7,11 +7,11 @@ from typing import Annotated
 import msgspec
 import tyro
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from concord.bus.arbitration import ARBITERS
 from concord.entries import entries, summaries
+from concord.experiments.standard_output import plain_console
 from concord.scenarios.bus_table.clusters import cluster_names
 from concord.scenarios.types.schedules import WrittenSchedule
 from concord.topology.choices import WEIGHTS, graph_names
@@ -33,7 +33,7 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     if options.json:
         sys.stdout.write(msgspec.json.encode(_everything()).decode() + "\n")
         return
-    console = Console()
+    console = plain_console()
     if options.faults:
         _show(console, "fault", "what happens", _faults())
         return
@@ -44,14 +44,14 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     ):
         _show(console, what, meaning, summaries(kind))
     for what, values in _names().items():
-        console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
-    console.print("faults: `concord list --faults`", highlight=False)
+        console.print(f"{what}: {', '.join(values)}", soft_wrap=True)
+    console.print("faults: `concord list --faults`")
 
 
 def _show(console: Console, what: str, meaning: str, sentences: dict[str, str]) -> None:
     table = Table(what, meaning)
     for name, sentence in sentences.items():
-        table.add_row(escape(name), escape(sentence))
+        table.add_row(name, sentence)
     console.print(table)
 
 

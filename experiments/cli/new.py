@@ -1,5 +1,6 @@
 """`concord new`: write the folder of a study, which runs as it is written."""
 
+import os
 import re
 import shutil
 import sys
@@ -34,7 +35,15 @@ def new(
             unfinished.rename(folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    sys.stdout.write(f"{name}/ is written; next: cd {name} && make PYTHON={sys.executable} test\n")
+    sys.stdout.write(f"{name}/ is written; next: cd {name} && make {_python(folder)}test\n")
+
+
+def _python(folder: Path) -> str:
+    """Return how `make` in a folder is told the interpreter; nothing where it finds that itself."""
+    found = shutil.which("python3")
+    if found is not None and Path(found).parent == Path(sys.executable).parent:
+        return ""
+    return f"PYTHON={min(sys.executable, os.path.relpath(sys.executable, folder), key=len)} "
 
 
 def _free_folder(name: str) -> Path:

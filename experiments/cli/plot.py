@@ -1,5 +1,6 @@
 """`concord plot`: pictures of the result of a sweep, of a design, or of a run folder."""
 
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,15 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import tyro
-from rich.console import Console
 
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
-from concord.results.palette import save, use_house_style
+from concord.results.palette import fit_width, save, use_house_style, without_title
 from concord.results.places import make_folder
 from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_UNITS_OF_AN_INCH = {"mm": 25.4, "cm": 2.54, "in": 1.0, "pt": 72.0}
+_PRINTED_DPI = 300
 
 
 @dataclass(frozen=True)
@@ -28,14 +32,19 @@ class PlotOptions:
     """Folder for the pictures; beside the result, <name>-plots, when left out."""
     format: Literal["png", "svg", "pdf"] = "png"
     """Format of the pictures."""
+    width: str | None = None
+    """Width of the pictures on paper, such as 88mm or 3.5in; what they need when left out."""
+    title: bool = True
+    """Leave out what stands above the pictures, for a caption below them."""
     json: bool = False
     """Print one JSON object instead of lines."""
 
 
 def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
     """Draw a result."""
-    use_house_style()
     with user_errors():
+        width = None if options.width is None else _inches(options.width)
+        use_house_style(*(() if width is None else (_PRINTED_DPI,)))
         result = result_of(options.result)
         figures = figures_of(result)
         folder = options.out or plots_of(result)
@@ -43,12 +52,31 @@ def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
     written = []
     for name, figure in figures.items():
         path = folder / f"{name}.{options.format}"
+        if not options.title:
+            without_title(figure)
+        if width is not None:
+            fit_width(figure, width)
         save(figure, path)
         written.append(str(path))
     if options.json:
         sys.stdout.write(msgspec.json.encode({"pictures": written}).decode() + "\n")
         return
-    Console().print("\n".join(written), highlight=False, soft_wrap=True)
+    plain_console().print("\n".join(written), soft_wrap=True)
+
+
+def _inches(text: str) -> float:
+    """Return a width as inches.
+
+    Raises:
+        ValueError: it is none.
+    """
+    found = re.fullmatch(r"([0-9.]+)(mm|cm|in|pt)", text)
+    if found is None or not re.fullmatch(r"\d+\.?\d*", found[1]) or float(found[1]) == 0:
+        raise ValueError(
+            f"--width {text}: must be a number above 0 with its unit (mm, cm, in or pt), such as "
+            "88mm"
+        )
+    return float(found[1]) / _UNITS_OF_AN_INCH[found[2]]
 
 
 def result_of(named: Path) -> Path:

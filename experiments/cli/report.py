@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import numpy as np
 import tyro
-from rich.console import Console
 
 from concord.experiments.cli.plot import figures_of, result_of
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.figures.intervals import Interval
 from concord.results.palette import use_house_style
@@ -23,10 +23,12 @@ from concord.results.report_page import (
     PagePart,
     Paragraph,
     as_html,
+    as_latex,
     as_markdown,
     picture,
 )
 from concord.studies.sweep.specification import shown
+from concord.topology.names import unknown_name
 
 if TYPE_CHECKING:
     import xarray
@@ -39,7 +41,11 @@ class ReportOptions:
     result: tyro.conf.Positional[Path]
     """Result of `concord sweep` or `concord design`, or folder of a run or its run.nc."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The page: .html or .md; beside the result when left out. An older one is replaced."""
+    """The page: .html, .md, or .tex for its tables alone (booktabs); beside the result when left
+    out. An older one is replaced."""
+    columns: str | None = None
+    """Figures of a sweep in its table, such as rmse,anees,bytes_per_step; all that are known when
+    left out."""
     json: bool = False
     """Print one JSON object instead of a line."""
 
@@ -52,10 +58,10 @@ def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
         out = options.out or (
             result / "report.html" if result.is_dir() else result.with_suffix(".html")
         )
-        if out.suffix not in (".html", ".md"):
-            raise ValueError(f"--out {out}: must end in .html or .md")
-        title, parts = page_of(result)
-        text = as_html(title, parts) if out.suffix == ".html" else as_markdown(parts)
+        if out.suffix not in _FORMS:
+            raise ValueError(f"--out {out}: must end in {', '.join(_FORMS)}")
+        title, parts = page_of(result, options.columns, pictures=out.suffix != ".tex")
+        text = _FORMS[out.suffix](title, parts)
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             part = out.with_name(f"{out.name}.part")
@@ -66,29 +72,30 @@ def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
     if options.json:
         sys.stdout.write(msgspec.json.encode({"page": str(out)}).decode() + "\n")
         return
-    Console().print(str(out), highlight=False, soft_wrap=True)
+    plain_console().print(str(out), soft_wrap=True)
 
 
-def page_of(result: Path) -> tuple[str, list[PagePart]]:
-    """Title and parts of the page of a result.
+def page_of(
+    result: Path, columns: str | None = None, pictures: bool = True
+) -> tuple[str, list[PagePart]]:
+    """Title and parts of the page of a result; `columns` are the figures of a sweep's table.
 
     Raises:
-        ValueError: it is no result of ours.
+        ValueError: it is no result of ours, or has no such figure.
     """
-    figures = figures_of(result)
+    figures = figures_of(result) if pictures else {}
     if result.is_dir():
         title, parts = _of_run(result)
     elif result.suffix == ".json":
         title, parts = _of_design(result)
     else:
-        title, parts = _of_sweep(result)
-    pictures: list[PagePart] = [Heading("Pictures")]
-    for name, figure in figures.items():
-        pictures.append(picture(name, figure))
-    return title, [Heading(title, 1), *parts[:-2], *pictures, *parts[-2:]]
+        title, parts = _of_sweep(result, columns)
+    drawn: list[PagePart] = [Heading("Pictures")] if pictures else []
+    drawn += [picture(name, figure) for name, figure in figures.items()]
+    return title, [Heading(title, 1), *parts[:-2], *drawn, *parts[-2:]]
 
 
-def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
+def _of_sweep(path: Path, chosen: str | None) -> tuple[str, list[PagePart]]:
     from concord.studies.sweep.results import read_result, specification_of
     from concord.studies.sweep.summary import figures_of as summary_of
 
@@ -96,9 +103,12 @@ def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
     summary = summary_of(dataset)
     fields = specification_of(dataset).dimensions
     units = {"rmse": f" [{summary.unit}]", "disagreement": f" [{summary.unit}]"}
-    columns = [
-        n for n in summary.cells[0].figures if any(c[n].value == c[n].value for c in summary.cells)
-    ]
+    names = list(summary.cells[0].figures)
+    known = [n for n in names if not all(np.isnan(cell[n].value) for cell in summary.cells)]
+    columns = known if chosen is None else [name.strip() for name in chosen.split(",")]
+    for name in columns:
+        if name not in names:
+            raise unknown_name("figure of --columns", name, names)
     rows = [
         [
             *(shown(cell.cell[field]) for field in fields),
@@ -115,7 +125,7 @@ def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
     return f"Sweep of {', '.join(fields) or 'one cell'}", [
         Paragraph(
             f"{len(summary.cells)} cells of {summary.runs} runs each, seed {summary.seed}. Each "
-            "figure is followed by its 95 % interval over the runs, which have the same noise in "
+            "figure has its 95 % interval over the runs, which have the same noise in "
             "every cell of one seed. docs/sweeps.md says what each figure is."
         ),
         Grid(head, rows, len(fields) + 1),
@@ -202,8 +212,14 @@ def _provenance(versions: Mapping[str, str], what: str) -> Sequence[PagePart]:
 
 
 def _interval(interval: Interval) -> str:
-    value, low, high = interval
-    if np.isnan(value):
+    if np.isnan(interval.value):
         return "-"
-    text = f"{value:.4g}"
-    return text if np.isnan(low) else f"{text} ({low:.3g}..{high:.3g})"
+    return f"{interval.value:.4g} {interval.spread()}".rstrip()
+
+
+_FORMS: dict[str, Callable[[str, list[PagePart]], str]] = {
+    ".html": as_html,
+    ".md": lambda _, parts: as_markdown(parts),
+    ".tex": lambda _, parts: as_latex(parts),
+}
+"""The page as text, by the ending of its file."""

@@ -12,6 +12,7 @@ import tyro
 
 from concord.disk import RunFailed
 from concord.experiments.cli.collect import FiguresForm, ResultOptions, end_by, finish
+from concord.experiments.cli.help import FIRST
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
 from concord.experiments.run_many import run_many
@@ -41,22 +42,24 @@ REALTIME = "realtime"
 class RunOptions(ResultOptions):
     """How and where to run."""
 
-    driver: Literal["in-process", "processes", "batched", "realtime"] = "in-process"
-    """in-process: everything in one process; processes: one per node, over zenoh, in lockstep;
-    batched: many runs at once as arrays; realtime: processes that keep the bus's time."""
+    driver: Annotated[Literal["in-process", "processes", "batched", "realtime"], FIRST] = (
+        "in-process"
+    )
+    """Where nodes run: in-process (all in one), processes (one per node, over zenoh, in lockstep),
+    batched (many runs at once as arrays), realtime (processes that keep the bus's time)."""
     cycle_stretch: float | None = None
     """How many times longer a cycle lasts on the clock than on the bus, for --driver realtime; so
     that it lasts 20 ms when left out."""
-    runs: int = 1
+    runs: Annotated[int, FIRST] = 1
     """Number of runs, from --run on, for --driver batched."""
     covariances: bool = False
     """Keep full covariances of many runs, and not their traces alone."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), FIRST] = None
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
     """First of consecutive loopback ports for --driver processes or realtime, 0 for free ones; left
     out, processes talk over unix sockets that no other user can open."""
-    dashboard: bool = False
+    dashboard: Annotated[bool, FIRST] = False
     """Show a run over processes in the browser. It waits a minute for a browser, and the page stays
     after the run until Ctrl-C."""
     http_port: int = 8080
@@ -67,7 +70,7 @@ def run(
     scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     output: Annotated[RunOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
-    """Run a scenario, once or many times, and print how well its nodes did."""
+    """Run a network, and print how well each of its nodes did."""
     with user_errors():
         _check(output)
         found = resolved(scenario)

@@ -1,6 +1,8 @@
 """`concord sweep`: every combination of what is swept, with intervals, in one file of results; and
 `concord merge`: the same from shards."""
 
+import csv
+import math
 import shlex
 import sys
 from collections.abc import Iterable, Iterator
@@ -10,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import tyro
-from rich.console import Console
 
-from concord.disk import RunFailed
-from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep_options import FieldOptions
+from concord.disk import RunFailed, writing
+from concord.experiments.cli.help import FIRST
+from concord.experiments.scenario_flags import FieldOptions, said_in
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.results.figures.summary import decisive_run
 from concord.results.places import make_folder, new_name
@@ -30,22 +32,23 @@ from concord.studies.sweep.placements import in_words, over_placements
 from concord.studies.sweep.results import flattened
 from concord.studies.sweep.run import WHOLE, Begin, Shard, Swept, begin, finish
 from concord.studies.sweep.specification import Specification, specify
+from concord.studies.sweep.summary import SweepFigures, figures_of, table
 from concord.studies.sweep.summary import as_json as cells_json
-from concord.studies.sweep.summary import figures_of, table
 
 if TYPE_CHECKING:
     import xarray
 
 FILE_WIDTH = 120
+_CSV = ".csv"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions:
     """How much, where, and what to print."""
 
-    runs: int = 20
+    runs: Annotated[int, FIRST] = 20
     """Monte-Carlo runs of every cell. Run r has the same noise in every cell."""
-    latin_hypercube: int | None = None
+    latin_hypercube: Annotated[int | None, FIRST] = None
     """So many cells spread over the values and ranges (0.1..1) instead of every combination."""
     change_step: int = 0
     """The step from which settling is timed."""
@@ -54,21 +57,21 @@ class SweepOptions:
     keep: Literal["moments", "figures", "histories"] | None = None
     """Histories of every run, figures of every run, or moments and quantiles over the runs, whose
     size does not grow with the runs. Histories when left out, moments above 1e8 estimates."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """netCDF file for the result; runs/sweep-<date>.nc when left out. The same command goes on
-    with a sweep that was interrupted."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), FIRST] = None
+    """netCDF file for the result; runs/sweep-<date>.nc when left out. NAME.csv also writes the
+    table of figures, beside NAME.nc. The same command goes on with a sweep that was interrupted."""
     pieces: Path | None = None
     """Folder that keeps the computed pieces, for other sweeps that have the same runs of the same
     cells."""
     shard: str | None = None
     """Part of the work to compute, such as 3/10; `concord merge` makes the result of all parts."""
-    workers: int | None = None
+    workers: Annotated[int | None, FIRST] = None
     """Processes on this machine; one per core when left out."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
     dask_tls: Path | None = None
     """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
-    json: bool = False
+    json: Annotated[bool, FIRST] = False
     """Print one JSON object instead of a table."""
 
 
@@ -76,8 +79,9 @@ def sweep(
     fields: Annotated[FieldOptions, tyro.conf.arg(name="")],
     output: Annotated[SweepOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
-    """Run every combination of the given values, and print how good and how dear each is."""
-    out = output.out or Path("runs") / f"{new_name('sweep')}.nc"
+    """Run all combinations of values; print error and cost."""
+    asked = output.out or Path("runs") / f"{new_name('sweep')}.nc"
+    out = asked.with_suffix(".nc") if asked.suffix == _CSV else asked
     with user_errors():
         specification = with_keep(
             specify(
@@ -108,6 +112,24 @@ def sweep(
         _show_shard(swept, begun, output.json)
     else:
         _show(swept.dataset, swept, output.interval, output.json, out)
+        if asked != out:
+            _write_table(asked, figures_of(swept.dataset, output.interval))
+
+
+def _write_table(path: Path, figures: SweepFigures) -> None:
+    """Write a row for each cell: its values, then each figure with its interval."""
+    rows: list[dict[str, object]] = []
+    for one in figures.cells:
+        row: dict[str, object] = {**one.cell, "unit": figures.unit, "level": one.level}
+        for name, interval in one.figures.items():
+            bounds = (None if math.isnan(bound) else bound for bound in interval)
+            row |= dict(zip((name, f"{name}_low", f"{name}_high"), bounds, strict=True))
+        rows.append(row)
+    with writing(path), path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, rows[0])
+        table.writeheader()
+        table.writerows(rows)
+    sys.stderr.write(f"table in {path}\n")
 
 
 def _goes_on(output: SweepOptions, out: Path) -> str:
@@ -235,16 +257,14 @@ def _show(dataset: "xarray.Dataset", swept: Swept, interval: str, as_json: bool,
                  "node_updates_per_second": rate, "result": str(out)}  # fmt: skip
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return
-    console = Console()
-    # A file or a pipe has no width to keep to.
-    console = console if console.is_terminal else Console(width=FILE_WIDTH)
+    console = plain_console(FILE_WIDTH)
     console.print(table(figures, dataset, console.width))
     for one in spreads:
-        console.print(in_words(one), highlight=False, soft_wrap=True)
+        console.print(in_words(one), soft_wrap=True)
     if swept.computed_pieces:
         every = swept.found_pieces + swept.computed_pieces
         console.print(
             f"computed {swept.computed_pieces} of {every} pieces in {swept.seconds:.1f} s: "
-            f"{swept.node_updates} node-updates, {rate:.3g} per second", highlight=False,
+            f"{swept.node_updates} node-updates, {rate:.3g} per second",
         )  # fmt: skip
-    console.print(f"result in {out}; `concord plot {out}` draws it", highlight=False)
+    console.print(f"result in {out}; `concord plot {out}` draws it")

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 import msgspec
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.studies.progress import progress
 from concord.studies.topology.compare import ComparisonRow, compared
@@ -45,7 +45,7 @@ def analyse(source: Source = "", *, options: Options, json: bool = False) -> Non
         # Above the table and not in it: a title is broken to the width of its columns.
         sys.stdout.write(loss_title(report) + "\n")
         sys.stdout.flush()
-        Console().print(_loss_table(report.losses))
+        plain_console().print(_loss_table(report.losses))
 
 
 def compare(
@@ -73,10 +73,7 @@ def compare(
     if json:
         sys.stdout.write(msgspec.json.encode({"rows": rows}).decode() + "\n")
         return
-    console = Console()
-    # A table of figures is not cut to the width of a file.
-    wide = console if console.is_terminal else Console(width=_FILE_WIDTH)
-    wide.print(_comparison(rows))
+    plain_console(_FILE_WIDTH).print(_comparison(rows))
 
 
 def generate(

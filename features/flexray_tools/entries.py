@@ -6,6 +6,7 @@ COMMANDS = {
     "flexray": (
         f"{_HERE}.commands.group:COMMANDS",
         "Recordings, clusters and plans of a FlexRay bus.",
+        "bus",
     ),
 }
 CLUSTER_FILES = {

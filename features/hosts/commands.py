@@ -230,7 +230,7 @@ class UpOptions:
 
 
 def up(options: Annotated[UpOptions, tyro.conf.arg(name="")]) -> None:
-    """Start a network on several hosts over ssh, show its log, and end it."""
+    """Start a network on several hosts over ssh; show its log; end it."""
     from concord.features.hosts.plan import read_plan
     from concord.features.hosts.up import NetworkOverSsh, announcement
 

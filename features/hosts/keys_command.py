@@ -8,8 +8,8 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console
 
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.hosts.certificates import faults_of_keys, make_keys
 
@@ -50,7 +50,7 @@ def _show_files(options: KeysOptions, files: list[str]) -> None:
     made = {"folder": str(options.folder), "days": options.days, "files": files}
     if not options.json:
         where = f"{options.folder}: {len(files)} files, valid for {options.days} days"
-        Console().print(where, highlight=False, soft_wrap=True)
+        plain_console().print(where, soft_wrap=True)
     elif not options.check:
         sys.stdout.write(msgspec.json.encode(made).decode() + "\n")
 

@@ -35,5 +35,6 @@ COMMANDS = {
     "identify": (
         f"{_HERE}.identify_command:identify_tyres",
         "Find the tyres, the sensors and the process noise that explain a drive best.",
+        "study",
     ),
 }

@@ -10,9 +10,9 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 import numpy as np
 import tyro
-from rich.console import Console
 
 from concord.disk import writing
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.vehicle.identification.findings import findings_of, in_words, table_of
 from concord.features.vehicle.identification.fit import MOST_STEPS, CarFit, fit
@@ -140,11 +140,11 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
     if options.json:
         sys.stdout.write(msgspec.json.encode(findings).decode() + "\n")
         return
-    console = Console()
+    console = plain_console()
     console.print(table_of(findings, given.drive, given.car))
     duration_s = given.drive.time_step_s * given.drive.steps
     for line in in_words(findings, given.start_s, duration_s):
-        console.print(line, highlight=False)
+        console.print(line)
 
 
 def _everything(options: IdentifyOptions, given: "_Given", tyres: Identified) -> CarFit:

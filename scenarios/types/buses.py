@@ -22,7 +22,9 @@ TimelessSchedule = FullSchedule | RoundRobinSchedule
 STRETCH = Option(
     "Stretch the plant's sampling time by this factor to hold the bus cycles.", at_least=1
 )
-SCHEDULE = Option("Schedule: which nodes may publish in a cycle.", group="bus", is_setting=True)
+SCHEDULE = Option(
+    "Schedule: which nodes may publish in a cycle.", group="bus", is_setting=True, first=True
+)
 
 
 class SharedBus(Choice, frozen=True, kw_only=True):

@@ -44,15 +44,16 @@ class Option(NamedTuple):
     """Declaration of a field beside its type and default.
 
     Attributes:
-        text: what the option means, for `--help` and the documentation.
+        text: what the option means, for the help and the documentation.
         unit: unit of its number.
-        group: heading in `--help`; that of the value which owns the field when left out.
+        group: heading in the help; that of the value which owns the field when left out.
         needs: the flag of the same value without which the option means nothing.
         flag: name of the option where it is not that of the field.
         above, at_least, below, at_most: range of its number.
         even: whether the number must be even.
         is_setting: whether a network that runs can change it (`set`).
         cure: what to do about a number outside the range, and why.
+        first: whether the short help of a command shows it.
     """
 
     text: str = ""
@@ -67,6 +68,7 @@ class Option(NamedTuple):
     even: bool = False
     is_setting: bool = False
     cure: str = ""
+    first: bool = False
 
     def holds(self, number: float) -> bool:
         """Whether a number is finite and in the range."""

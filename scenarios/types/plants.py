@@ -75,11 +75,11 @@ def noise_of(plant: SensedPlantChoice) -> str:
 class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Nodes, the graph of who hears whom, consensus weights, and what links do to frames."""
 
-    nodes: Annotated[int, Option("Number of sensor nodes.", at_least=1)]
+    nodes: Annotated[int, Option("Number of sensor nodes.", at_least=1, first=True)]
     graph: Annotated[
         str,
         Option("Graph of the network: ring, path, star, grid, complete, 4-regular, geometric, "
-               "file:PATH, FILE.py:NAME, ...", is_setting=True),
+               "file:PATH, FILE.py:NAME, ...", is_setting=True, first=True),
     ]  # fmt: skip
     weights: Annotated[
         str,
@@ -95,5 +95,5 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     loss: Annotated[
         float,
         Option("Probability that a link loses a frame on its way to one receiver.",
-               group="faults", at_least=0, below=1),
+               group="faults", at_least=0, below=1, first=True),
     ] = 0.0  # fmt: skip

@@ -31,7 +31,7 @@ class NumberRule(FusionRule, frozen=True, kw_only=True):
     number: Annotated[
         Number,
         Option("Format of numbers on the wire; float16 is two bytes each, for shares of beliefs, "
-               "whose covariance is enlarged by what is lost."),
+               "whose covariance is enlarged by what is lost.", first=True),
     ] = "float64"  # fmt: skip
 
 

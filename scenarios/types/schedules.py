@@ -18,7 +18,13 @@ class PartialSchedule(BusSchedule, frozen=True, kw_only=True):
 
     occupancy: Annotated[
         float,
-        Option("Share of the nodes that publish in a cycle.", above=0, at_most=1, is_setting=True),
+        Option(
+            "Share of the nodes that publish in a cycle.",
+            above=0,
+            at_most=1,
+            is_setting=True,
+            first=True,
+        ),
     ] = 1.0
 
 

@@ -6,10 +6,9 @@ import msgspec
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from concord.results.report_page import Code, Grid, Heading, PagePart, Paragraph
+from concord.results.report_page import Code, Grid, Heading, PagePart, Paragraph, as_latex
 from concord.studies.compare.results import CaseFigures, ComparisonFigures, RuleFigures
 
 COLUMNS = ("error", "95 %", "ANEES", "±", "bytes", "wire us", "node", "")
@@ -27,8 +26,6 @@ _OVERVIEWS: dict[str, Callable[[RuleFigures], float]] = {
     "Microseconds on the wire in a step": lambda one: one.bus_time_us.value,
     "Processor time of a node's step over that of the cheapest rule": lambda one: one.node_ratio,
 }
-_LATEX = {"\\": r"\textbackslash{}", **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-          "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}  # fmt: skip
 
 
 def print_comparison(figures: ComparisonFigures, console: Console) -> None:
@@ -36,24 +33,22 @@ def print_comparison(figures: ComparisonFigures, console: Console) -> None:
     for case in figures.cases:
         ran = [one for one in case.rules if not one.reason]
         runs = "1 run" if case.runs == 1 else f"{case.runs} runs"
-        console.print(f"{case.case}: {case.purpose}; {runs}", highlight=False, markup=False)
+        console.print(f"{case.case}: {case.purpose}; {runs}")
         if ran:
             grid = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
             grid.add_column("rule", overflow="fold", max_width=24)
             for heading in COLUMNS:
                 grid.add_column(heading, justify="right", no_wrap=True)
             for one in ran:
-                grid.add_row(escape(one.rule), *cells_of_rule(one))
+                grid.add_row(one.rule, *cells_of_rule(one))
             console.print(grid)
         for reason, rules in _reasons(case).items():
             # The cure stands in --json and in the report.
             console.print(
                 f"  not {_named(rules, case)}: {reason.partition(';')[0]}",
-                highlight=False,
-                markup=False,
             )
         console.print()
-    console.print(MEANING, highlight=False)
+    console.print(MEANING)
 
 
 def cells_of_rule(one: RuleFigures) -> tuple[str, ...]:
@@ -114,32 +109,19 @@ def page(figures: ComparisonFigures) -> list[PagePart]:
 
 
 def latex(figures: ComparisonFigures) -> str:
-    """Return a LaTeX longtable with every case and rule that ran."""
-    lines = [
-        r"% \usepackage{longtable}",
-        rf"\begin{{longtable}}{{ll{'r' * len(COLUMNS)}}}",
-        f"{_row(['case', 'rule', *COLUMNS])} \\hline",
-        r"\endhead",
+    """Return a LaTeX table with every case and rule that ran."""
+    rows = [
+        [case.case, one.rule, *cells_of_rule(one)]
+        for case in figures.cases
+        for one in case.rules
+        if not one.reason
     ]
-    for case in figures.cases:
-        ran = [one for one in case.rules if not one.reason]
-        names = [case.case, *[""] * len(ran)]
-        lines += [
-            _row([name, one.rule, *cells_of_rule(one)])
-            for name, one in zip(names, ran, strict=False)
-        ]
-        lines += [r"\hline"] if ran else []
-    return "\n".join([*lines, r"\end{longtable}", ""])
+    return as_latex([Grid(["case", "rule", *COLUMNS], rows, 2)])
 
 
 def as_json(figures: ComparisonFigures) -> bytes:
     """Return the figures as one JSON object; what is unknown is null."""
     return msgspec.json.encode(figures)
-
-
-def _row(cells: Sequence[str]) -> str:
-    escaped = ("".join(_LATEX.get(sign, sign) for sign in cell) for cell in cells)
-    return f"{' & '.join(escaped)} \\\\".replace("±", r"$\pm$")
 
 
 def _reasons(case: CaseFigures) -> dict[str, list[str]]:

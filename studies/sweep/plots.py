@@ -150,7 +150,8 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
     """
     parts = flattened(dataset)
     cost, label = _cost(dataset, parts)
-    ratio = np.array([_ratio(data).value for _, data in parts])
+    intervals = np.array([_ratio(data) for _, data in parts])
+    ratio = intervals[:, 0]
     known = ~np.isnan(cost) & ~np.isnan(ratio)
     if known.sum() < 2:
         return None
@@ -159,10 +160,11 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
     axes = grid[0, 0]
     colours = styles(_names(dataset, layout.colour))
     shapes = styles(_names(dataset, layout.panel))
-    for (cell, _), x, y in zip(parts, cost, ratio, strict=True):
+    for (cell, _), x, y, bar in zip(parts, cost, ratio, _bars(intervals).T, strict=True):
         colour = colours[_name(cell.values, layout.colour)].colour
         marker = shapes[_name(cell.values, layout.panel)].marker
-        axes.plot(x, y, marker=marker, color=colour, markersize=5, alpha=0.8, linestyle="")
+        axes.errorbar(x, y, yerr=bar[:, None], marker=marker, color=colour, markersize=5, alpha=0.8,
+                      capsize=2, linewidth=1)  # fmt: skip
     best = front(cost, ratio)
     axes.step(cost[best], ratio[best], where="post", color=GREY, linewidth=1, zorder=0)
     middle = np.sqrt(np.nanmin(cost) * np.nanmax(cost))
@@ -177,7 +179,7 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
     _log_if_wide(grid, ratio)
     name_styles(axes, colours, shapes)
     _legend(figure, grid)
-    figure.suptitle("What error costs; the line joins cells that no other beats in both\n"
+    figure.suptitle("What error costs; bars: 95 % interval; the line joins cells that none beats\n"
                     f"{subtitle(dataset, layout._replace(rest=()))}", fontsize=9, x=0.01,
                     ha="left")  # fmt: skip
     return figure
@@ -250,9 +252,13 @@ def _draw_line(axes: Any, line: list[CellResult], axis: str, name: str, style: A
     points = sorted((float(cell.values[axis]), _ratio(data)) for cell, data in line)  # type: ignore[arg-type]
     x = np.array([place for place, _ in points])
     y = np.array([ratio for _, ratio in points])
-    bars = np.nan_to_num(np.abs(y[:, 1:] - y[:, :1]).T)
-    axes.errorbar(x, y[:, 0], yerr=bars, color=style.colour, marker=style.marker,
+    axes.errorbar(x, y[:, 0], yerr=_bars(y), color=style.colour, marker=style.marker,
                   linestyle=style.dash, capsize=2.5, label=name or "network")  # fmt: skip
+
+
+def _bars(intervals: np.ndarray) -> np.ndarray:
+    """Return how far intervals (n, 3) of value, low, high reach down and up (2, n)."""
+    return np.nan_to_num(np.abs(intervals[:, 1:] - intervals[:, :1]).T)
 
 
 def _ratio(data: "xarray.Dataset") -> Interval:

@@ -5,7 +5,7 @@ import itertools
 import math
 import re
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -220,7 +220,7 @@ def _within(between: Range, place: float) -> Value:
 
 
 def _listed(field: str, text: str) -> list[Value]:
-    values = [_value(field, part.strip()) for part in text.split(",")]
+    values = [value_of(field, part.strip()) for part in text.split(",")]
     for place, value in enumerate(values):
         if value in values[:place]:
             raise ValueError(
@@ -229,10 +229,17 @@ def _listed(field: str, text: str) -> list[Value]:
     return values
 
 
-def _value(field: str, text: str) -> Value:
-    kinds = _kinds(field)
+def value_of(field: str, text: str) -> Value:
+    """Return the value of a field that a text means.
+
+    Raises:
+        ValueError: it is empty, or no value of the field's type.
+    """
+    kinds = offered_options()[field].kinds
     if not text:
-        raise ValueError(f"{_option(field)}: a value is empty; write value,value without gaps")
+        raise ValueError(
+            f"{_option(field)}: a value is empty; give one, or value,value without gaps in a sweep"
+        )
     if type(None) in kinds and text.lower() in ("none", "null"):
         return None
     if bool in kinds:
@@ -251,13 +258,13 @@ def _value(field: str, text: str) -> Value:
 
 
 def _range(field: str, text: str) -> Range | None:
-    kinds = _kinds(field)
+    kinds = FIELDS[field].kinds
     if ".." not in text or not {int, float} & set(kinds):
         return None
     if str in kinds and not re.fullmatch(r"\d+\.\.\d+", text):
         return None  # a text with dots in it, such as a path
     ends = text.split("..")
-    low, high = (_value(field, end) for end in (ends if len(ends) == 2 else (text, text)))
+    low, high = (value_of(field, end) for end in (ends if len(ends) == 2 else (text, text)))
     assert isinstance(low, int | float) and isinstance(high, int | float)
     if not (math.isfinite(low) and low < high):
         raise ValueError(f"{_option(field)} {text}: a range must go upwards, such as 1..5")
@@ -271,10 +278,6 @@ def _whole(field: str, text: str, between: Range) -> list[Value]:
             "it name the values, such as 0.1,0.5,1"
         )
     return list(range(int(between.low), int(between.high) + 1))
-
-
-def _kinds(field: str) -> Sequence[Any]:
-    return FIELDS[field].kinds
 
 
 def _option(field: str) -> str:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from concord.results.figures.figure_table import FIGURES, SWEPT
@@ -117,7 +116,7 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
     unsound = any(cell.level != "WORKS" for cell in figures.cells)
     columns = {
         **({"": lambda cell: cell.level} if unsound else {}),
-        f"RMSE {escape(f'[{figures.unit}]')}": lambda cell: _number(cell["rmse"].value),
+        f"RMSE [{figures.unit}]": lambda cell: _number(cell["rmse"].value),
         "x central": lambda cell: _with_half(cell["to_centralised"]),
         "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell["to_best"]),
         "ANEES": lambda cell: _with_half(cell["anees"]),

@@ -2,7 +2,7 @@
 
 import io
 import os
-import runpy
+import re
 import shutil
 import subprocess
 import sys
@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from concord._version import __version__
-from concord.entries import entries
+from concord.entries import DOORS, entries
 from concord.experiments.cli.command_line import main
-from concord.experiments.repeated_options import refuse_repeated
-from tests.experiments.command_support import concord, refused
+from concord.experiments.given_options import refuse_repeated
+from concord.scenarios.scenario_options import offered_options
+from tests.experiments.command_support import Said, concord, refused
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")
@@ -45,11 +46,96 @@ def test_every_command_says_what_it_is(name: str, capsys: pytest.CaptureFixture[
     assert f"concord {name}" in capsys.readouterr().out
 
 
-def test_help_names_every_command(capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit, match="0"):
-        main(["--help"])
-    printed = capsys.readouterr().out
-    assert all(f"• {name} " in printed for name in entries("COMMANDS"))
+def lines_of(said: Said) -> list[str]:
+    """The lines of a command that went well; none is wider than 80 columns."""
+    assert (said.code, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert max(map(len, lines)) <= 80
+    return lines
+
+
+@pytest.mark.parametrize("words", [(), ("help",), ("-h",), ("--help",)])
+def test_concord_alone_names_every_command_by_its_door(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    lines = lines_of(concord(capsys, *words))
+    assert len(lines) == 12
+    first = {line.split()[0] for line in lines[1:]}
+    assert {door.split()[0] for door in DOORS[:-1]} <= first
+    assert set(entries("COMMANDS")) <= {word for line in lines for word in line.split()}
+
+
+def test_help_all_explains_every_command_by_its_door(capsys: pytest.CaptureFixture[str]):
+    lines = lines_of(concord(capsys, "help", "--all"))
+    assert set(DOORS[:-1]) <= set(lines)
+    assert {f"  {name}" for name in entries("COMMANDS")} <= {line[:20].rstrip() for line in lines}
+
+
+def test_the_help_of_run_is_short_and_in_the_order_of_its_headings(
+    capsys: pytest.CaptureFixture[str],
+):
+    lines = lines_of(concord(capsys, "run", "-h"))
+    assert len(lines) <= 45
+    options = [line.split()[0] for line in lines if line.startswith("  -")]
+    assert options == [
+        "--scenario", "--nodes", "--graph", "--rule", "--number", "--rounds", "--bus", "--schedule",
+        "--occupancy", "--filter", "--loss", "--changes", "--steps", "--seed", "--driver", "--runs",
+        "-o,", "--dashboard",
+    ]  # fmt: skip
+    everything = concord(capsys, "run", "--help-all").out
+    named = {f"--{name.replace('_', '-')}" for name in offered_options()}
+    assert named <= set(re.findall(r"--[a-z][a-z0-9-]*", everything))
+    assert "--http-port" in everything and "None" not in everything
+
+
+def test_the_help_of_run_adds_the_options_of_chosen_values(capsys: pytest.CaptureFixture[str]):
+    usual = concord(capsys, "run", "-h").out
+    assert "--window-steps" not in usual and "--number" in usual
+    chosen = concord(capsys, "run", "--scenario", "oscillator", "--rule=labelled", "-h").out
+    assert "--window-steps" in chosen and "--number" not in chosen and "--clutter" not in chosen
+    assert "Number of sensor nodes. (at least 1) (default: 8)" in chosen
+    assert "did you mean 'labelled'" in refused(concord(capsys, "run", "--rule", "labeled", "-h"))
+
+
+@pytest.mark.parametrize("command", ["sweep", "design", "setup", "agree", "flexray plan"])
+def test_the_help_of_other_commands_is_short_first(
+    command: str, capsys: pytest.CaptureFixture[str]
+):
+    short = lines_of(concord(capsys, *command.split(), "--help"))
+    every = lines_of(concord(capsys, *command.split(), "--help-all"))
+    assert len(short) <= 60 < 200 < len(every)
+    assert short[-1].startswith(f"concord {command} --help-all explains all ")
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("run --nodes eight", "--nodes eight: must be a whole number"),
+        ("run --loss abc", "--loss abc: must be a number"),
+        ("run --cycle-stretch x", "--cycle-stretch x: must be a number; `concord run -h`"),
+        ("run --capture-nodes 1 a", "--capture-nodes a: must be a whole number"),
+        ("sweep --runs x", "--runs x: must be a whole number; `concord sweep -h` explains it"),
+        ("run --driver batchd", "unknown driver 'batchd': did you mean 'batched'?"),
+        ("run --frobnicate 3", "concord run has no --frobnicate; `concord run --help-all` has"),
+        ("run --grap ring", "concord run has no --grap: did you mean --graph?"),
+        ("run ring", "concord run has no ring; `concord run --help-all` has all options"),
+        ("run --rule", "--rule: its value is missing; `concord run -h` explains it"),
+        ("plot", "RESULT is missing; `concord plot -h` explains it"),
+        ("node setup.json a", "NODES a: must be a whole number; `concord node -h` explains it"),
+        ("design", "--target-rmse is missing; `concord design -h` explains it"),
+        ("flexray pln", "unknown command of concord flexray 'pln': did you mean 'plan'?"),
+    ],
+)
+def test_words_that_are_wrong_are_refused_in_one_sentence(
+    command: str, says: str, capsys: pytest.CaptureFixture[str]
+):
+    assert says in refused(concord(capsys, *command.split()))
+
+
+def test_a_group_alone_names_its_commands(capsys: pytest.CaptureFixture[str]):
+    lines = lines_of(concord(capsys, "topology"))
+    assert lines[0] == "usage: concord topology COMMAND [OPTIONS]"
+    assert {"show", "analyse", "compare", "generate"} <= {line.split()[0] for line in lines[2:]}
 
 
 def test_an_unknown_command_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]):
@@ -149,25 +235,11 @@ def test_the_local_launcher_takes_another_driver():
     assert done.stderr == "concord: --runs 0: must be at least 1\n"
 
 
-@pytest.mark.parametrize(
-    ("asked", "limited", "short"),
-    [
-        ([], True, True),
-        (["--nodes", "8", "--scenario", "target-tracking"], True, True),
-        (["--rule", "hcmci"], True, False),
-        (["--number=float64"], True, False),
-        (["--schedule", "full"], False, False),
-        (["--occupancy=0.5"], False, False),
-        (["--scenario=vehicle-network"], False, False),
-    ],
-)
-def test_the_local_launcher_limits_the_bus(asked: list[str], limited: bool, short: bool):
-    launcher = runpy.run_path(str(LAUNCHER))
-    words = launcher["with_defaults"](asked)
-    assert words[:2] == ["--driver", "processes"]
-    assert (words.count("--occupancy") == 1) == limited
-    assert ("float16" in words) == short
-    assert words[len(words) - len(asked) :] == asked
+def test_the_local_launcher_has_its_own_help():
+    asked = [sys.executable, str(LAUNCHER), "-h"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("usage: launch_local.py [OPTIONS]\n")
+    assert "(default: processes)" in done.stdout
 
 
 def test_what_there_is_to_choose_from_is_told_without_what_computes():

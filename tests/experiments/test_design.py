@@ -162,7 +162,7 @@ def test_of_equal_costs_the_one_with_a_bounded_age_comes_first(dearer: float, pr
     assert bounds["wtod"] is None
     said = "\n".join(lines(design))
     assert ("preferred to arbiter wtod, which costs the same" in said) == (was is not None)
-    console = Console(width=200, record=True, file=io.StringIO())
+    console = Console(markup=False, width=200, record=True, file=io.StringIO())
     console.print(table(design))
     assert "none" in console.export_text()
 

@@ -245,7 +245,7 @@ def test_many_runs_have_innovations_and_a_verdict(
 
 
 def test_the_table_of_channels_fits_eighty_columns():
-    console = Console(width=80, record=True, file=StringIO())
+    console = Console(markup=False, width=80, record=True, file=StringIO())
     found = figures(steps=40).innovations
     assert found is not None
     console.print(channel_table(found))

@@ -115,7 +115,7 @@ def test_errors_near_a_sighting_count_the_steps_after_it(mrclam_folder: Path):
 
 
 def shown(figures: Summary) -> str:
-    console = Console(width=100, record=True, file=StringIO())
+    console = Console(markup=False, width=100, record=True, file=StringIO())
     console.print(table(figures, "a title"))
     return console.export_text() + "\n".join(lines(figures))
 
@@ -131,7 +131,7 @@ def test_the_table_has_a_row_for_each_node_and_frames_the_network():
 
 
 def test_no_name_is_cut_at_eighty_columns():
-    console = Console(width=80, record=True, file=StringIO())
+    console = Console(markup=False, width=80, record=True, file=StringIO())
     long = {"rmse": 0.001299, "rmse_alone": 0.001884, "sent": 540000.0, "heard": 180000.0}
     wide = {name: Interval(value, np.nan, np.nan) for name, value in long.items()}
     nodes = [node | wide for node in FIGURES.nodes]

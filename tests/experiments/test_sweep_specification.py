@@ -6,8 +6,7 @@ import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.experiments.scenario_flags import said_in
-from concord.experiments.sweep_options import FieldOptions
+from concord.experiments.scenario_flags import FieldOptions, said_in
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.types.assignment import flat
 from concord.studies.sweep.cells import checked_cells, difference

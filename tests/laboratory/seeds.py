@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Protocol, TypeVar
 import msgspec
 import tyro
 
-from concord.experiments.scenario_flags import grouped_flags, said_in, texts
+from concord.experiments.scenario_flags import flags_of, said_in
 from concord.experiments.user_errors import user_errors
 from concord.scenarios.scenario_options import offered_options
 from concord.studies.check.shrinking import shrink
 from concord.studies.progress import progress
 from concord.studies.sweep.engines import engine_for
+from concord.studies.sweep.specification import FIELDS
 from tests.laboratory.case import (
     SimulationCase,
     draw_case,
@@ -40,15 +41,10 @@ MOST_SHRUNK = 3
 if TYPE_CHECKING:
 
     class FixedOptions:
-        """A text or None for each field of a case."""
+        """Fields that are the same in all cases; others are drawn from the seed."""
 
 else:
-    FixedOptions = grouped_flags(
-        "FixedOptions",
-        "What is the same in all cases; everything else is drawn from the seed.",
-        texts("VALUE", left_out="(drawn from the seed, or the scenario's default)"),
-        without=("run",),
-    )
+    FixedOptions = flags_of("FixedOptions", FIELDS.values(), listing=True)
 
 
 class Outcome(Protocol):

@@ -8,12 +8,12 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.settings import ClockSettings, clock_settings
 from concord.disk import writing
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.clocks.clock_run import (
     ClockRun,
@@ -142,7 +142,7 @@ def clocks(
     if json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
         return
-    Console().print(_table(report))
+    plain_console().print(_table(report))
     sys.stdout.writelines(f"{line}\n" for line in _sentences(report))
 
 

@@ -7,7 +7,6 @@ from typing import Literal
 
 import msgspec
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
@@ -15,6 +14,7 @@ from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
 from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 
 Level = Literal["2.1", "3.0.1", "physical"]
@@ -76,7 +76,7 @@ def validate(
         )
     for one, rules in broken.items():
         sys.stdout.writelines(f"level {one}: {rule}\n" for rule in rules)
-    Console().print(_table(checked, times))
+    plain_console().print(_table(checked, times))
 
 
 def read_cluster(source: str, name: str | None = None) -> Cluster:

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.experiments.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import ranges, write_new
 from concord.features.flexray_tools.commands.plan_report import (
@@ -110,7 +110,7 @@ def _print_answer(answer: PlanAnswer) -> None:
     asked, shown = answer.asked, answer.shown
     cluster = asked.bus.cluster if isinstance(asked.bus, FlexRay) else "none"
     out = sys.stdout.write
-    console = Console()
+    console = plain_console()
     out(
         f"asked for: {asked.name}, {asked.nodes} nodes, {asked.bus.schedule.name} schedule, "
         f"occupancy {occupancy_of(asked.bus.schedule):g}, {number_of(asked.rule)}, cluster "

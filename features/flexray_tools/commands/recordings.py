@@ -8,7 +8,6 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.bus.bus import Captured
@@ -16,6 +15,7 @@ from concord.bus.flexray.cluster import BIT_RATES_MBPS
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.slot_file import slots_to_toml
 from concord.bus.pcap import CapturedSymbol, write_pcap
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import ranges, write_new
 from concord.features.flexray_tools.recordings.csv_recording import Unit
@@ -166,7 +166,7 @@ def fit(
         return
     for line in _fit_lines(fitted):
         sys.stdout.write(f"{line}\n")
-    Console().print(_multiplex_table(fitted.multiplexing))
+    plain_console().print(_multiplex_table(fitted.multiplexing))
     if out is not None:
         sys.stdout.write(f"the cluster is in {out}; it marks the parameters that were chosen\n")
 

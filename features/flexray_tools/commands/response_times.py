@@ -7,11 +7,11 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.slot_file import read_slot_file
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster
 from concord.features.flexray_tools.response_times import FrameResponse, ResponseTimes
@@ -72,7 +72,7 @@ def wcrt(
         result = {"cluster": bus.name, "cycle_us": bus.cycle_us, "frames": rows}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    Console().print(_table(rows))
+    plain_console().print(_table(rows))
     for line in _remarks(rows, bus):
         sys.stdout.write(f"{line}\n")
 

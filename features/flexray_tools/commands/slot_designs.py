@@ -6,11 +6,11 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.slot_file import slots_to_toml
+from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster, write_new
 from concord.features.flexray_tools.slot_design.demand import read_demand
@@ -53,7 +53,7 @@ def design_slots_command(
     if json:
         sys.stdout.write(msgspec.json.encode(designed._asdict()).decode() + "\n")
         return
-    Console().print(_table(designed))
+    plain_console().print(_table(designed))
     sys.stdout.writelines(f"{line}\n" for line in _lines(designed, bus, minimise, out))
 
 
@@ -74,5 +74,8 @@ def _lines(designed: SlotDesign, bus: Cluster, minimise: Goal, out: Path | None)
     ]
     if designed.error:
         beside = f", {best}" if minimise == "error" else ""
-        text.append(f"error from the largest ages of shares: {designed.error:.6g}{beside}")
+        text.append(
+            f"largest ages of shares, each in us times its growth, sum to {designed.error:.6g}"
+            f"{beside}"
+        )
     return text + ([f"the slot table is in {out}"] if out is not None else [])

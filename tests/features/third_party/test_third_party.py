@@ -33,7 +33,7 @@ def _pip(*arguments: str) -> None:
 
 
 def test_its_names_are_listed_with_their_summaries(site: Path, tmp_path: Path):
-    printed = python(site, tmp_path, commands(["list", "--json"], ["--help"]))
+    printed = python(site, tmp_path, commands(["list", "--json"], ["help", "--all"]))
     for words in ("Mean of the means, with the widest", "short-oscillator", "Greet a user by name"):
         assert words in printed
 
