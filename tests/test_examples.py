@@ -66,7 +66,8 @@ def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "pareto.png").is_file()
 
 
-def test_the_verdict_that_the_readme_shows_is_that_of_the_demo(tmp_path: Path):
+@pytest.mark.xfail(strict=True, reason="the run prints the block of the README after the merge")
+def test_the_lines_that_the_readme_shows_are_those_of_the_demo(tmp_path: Path):
     (demo,) = re.findall(
         r"^\t\$\(BIN\)/concord (run .*) --driver processes$",
         (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " "),
@@ -74,10 +75,7 @@ def test_the_verdict_that_the_readme_shows_is_that_of_the_demo(tmp_path: Path):
     )
     command = [sys.executable, "-m", "concord.experiments", *demo.split(), "--out", "run"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    verdict = " ".join(done.stdout.split())
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    page = " ".join(text.split())
-    shown = re.findall(r"network: \S+ x the error .*? --rule labelled \([^)]*\)", page)
-    assert len(shown) == 1 and shown[0] in verdict
-    (last,) = re.findall(r"^    (verdict: .*?)\n\n", text, re.MULTILINE | re.DOTALL)
-    assert verdict.endswith(" ".join(last.split()))
+    for page in ("README.md", "docs/start.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        shown = re.findall(r"^  (?:error|honesty|bus) .*$", text, re.MULTILINE)
+        assert len(shown) == 3 and set(shown) <= set(done.stdout.splitlines()), page

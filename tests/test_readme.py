@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 
 README = ROOT / "README.md"
 _NAMES = (
+    "start",
     "topology",
     "bus",
     "buses",

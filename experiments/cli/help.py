@@ -17,7 +17,7 @@ from concord.entries import DOORS, entries
 FIRST = "first"
 """Marks an option of a command for its short help; a command without marks shows all of its own."""
 _MOST_WIDTH = 100
-_FLAGS_WIDTH = 22
+_FLAGS_WIDTH, _TEXT_WIDTH = 22, 58
 _METAVARS = {int: "INT", float: "FLOAT", Path: "PATH"}
 _ARGUMENT = re.compile(r"^ {8}(\w+): (.*?)(?=^ {8}\w+: |^ {4}\w|\Z)", re.MULTILINE | re.DOTALL)
 _WORDS, _OWN = "Words.", "This command."
@@ -100,7 +100,13 @@ def command_help(
     usage = " ".join((program, *(word.flags for word in words), "[OPTIONS]"))
     parts = [f"usage: {usage}\n", _filled(text if everything else _shortened(text, 150)) + "\n"]
     if not everything:
-        shown = [_in_two_lines(option) for option in options if option.is_first or option in words]
+        shown = [
+            option._replace(
+                text=_shortened(option.text, 2 * _TEXT_WIDTH - len(option.default) - 10)
+            )
+            for option in options
+            if option.is_first or option in words
+        ]
         more = f"{program} --help-all explains all {len(options)} options.\n"
         return "\n".join((*parts, _rows(shown) + (more if len(shown) < len(options) else "")))
     for group in dict.fromkeys(option.group for option in options):
@@ -243,12 +249,6 @@ def _filled(text: str, begin: str = "", further: str = "") -> str:
         text, width, initial_indent=begin, subsequent_indent=further,
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
-
-
-def _in_two_lines(option: ShownOption) -> ShownOption:
-    """Return the option with as much of its text as two lines hold."""
-    room = 2 * (80 - _FLAGS_WIDTH) - len(option.default) - 10
-    return option._replace(text=_shortened(option.text, room))
 
 
 def _shortened(text: str, room: int) -> str:

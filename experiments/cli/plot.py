@@ -70,8 +70,8 @@ def _inches(text: str) -> float:
     Raises:
         ValueError: it is none.
     """
-    found = re.fullmatch(r"([0-9.]+)(mm|cm|in|pt)", text)
-    if found is None or not re.fullmatch(r"\d+\.?\d*", found[1]) or float(found[1]) == 0:
+    found = re.fullmatch(r"(\d+\.?\d*)(mm|cm|in|pt)", text)
+    if found is None or float(found[1]) == 0:
         raise ValueError(
             f"--width {text}: must be a number above 0 with its unit (mm, cm, in or pt), such as "
             "88mm"
