@@ -66,6 +66,10 @@ class Rejected(Exception):
         self.reason = reason
 
 
+class TooLong(ValueError):
+    """Shares of a length that a bus does not hold."""
+
+
 class Fragment(msgspec.Struct, frozen=True):
     """Fragment of a share in one frame: in which slot, and in which of the cycles that carry
     rounds. `count` is the bus's own cycle counter in the frame; None on a bus without one. The

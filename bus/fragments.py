@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
-from concord.bus.bus import Rejected, SharePlace
+from concord.bus.bus import Rejected, SharePlace, TooLong
 
 
 def numbered(data: bytes) -> SharePlace:
@@ -81,9 +81,9 @@ def payload_sizes(
         )
     count = max(1, -(-data_bytes // room))
     if count > MAX_FRAGMENTS:
-        raise ValueError(
+        raise TooLong(
             f"{data_bytes} bytes need {count} frames of {limit} bytes, but at most {MAX_FRAGMENTS} "
-            "can be numbered; use float32, fewer states or a cluster with longer payloads"
+            "can be numbered; use shorter shares, or a cluster with longer payloads"
         )
     last = PREFIX_BYTES + data_bytes - (count - 1) * room
     return (limit,) * (count - 1) + (padded(last),)

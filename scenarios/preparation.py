@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from concord._version import __version__
+from concord.bus.bus import Bus, TooLong
 from concord.filters.gaussian import Gaussian
 from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.changes import Settings
@@ -116,8 +117,7 @@ def _graph(scenario: Scenario, plant: ScenarioPlant) -> _Graph:
 def _equipment(setup: Setup, settings: Settings) -> Equipment:
     """Return the network's equipment when these fields of its scenario are set."""
     changed = with_settings(setup, settings)
-    bus = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
-    return equipment_of(changed, bus)
+    return equipment_of(changed, _planned_bus(changed))
 
 
 def setup_of_run(setup: Setup, run: int) -> Setup:
@@ -154,11 +154,29 @@ def check_network(setup: Setup) -> None:
         _check_reach(setup)
     else:
         wiring.check(setup)
-    bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
+    bus = _planned_bus(setup)
     if isinstance(scenario.bus, UserBus):
         schedule = build_schedule(scenario, setup.neighbours)
         check_user_bus(scenario.bus, bus, schedule, share_bytes(setup))
     bus.check_pace(scenario.rounds, setup.time_step_s, stretch_of(scenario.bus))
+
+
+def _planned_bus(setup: Setup) -> Bus:
+    """Return the bus of a setup.
+
+    Raises:
+        ValueError: it does not hold the shares, or cannot be; naming what would fit.
+    """
+    scenario, size = setup.scenario, share_bytes(setup)
+    try:
+        return plan_bus(scenario, size, setup.neighbours)
+    except TooLong as error:
+        if definition_of(scenario).wiring(scenario) is not None:
+            raise
+        # Only here: a network whose shares fit needs nothing of it.
+        from concord.scenarios.bus_table.what_fits import what_fits
+
+        raise ValueError(f"{error}; {what_fits(setup)}") from None
 
 
 def _check_reach(setup: Setup) -> None:

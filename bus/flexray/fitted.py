@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from concord.bus.bus import TooLong
 from concord.bus.flexray.channels.plan import (
     ChannelPlan,
     contender_groups,
@@ -15,6 +16,8 @@ from concord.bus.schedule import Schedule
 _MIN_STATIC_SLOTS = 2
 _MIN_STATIC_PAYLOAD_BYTES = 2
 _IDLE_MACROTICKS = 40
+# Of 1 us, in the longest cycle of FlexRay.
+_MOST_MACROTICKS = 16_000
 
 
 def fitted_cluster(
@@ -30,7 +33,8 @@ def fitted_cluster(
         plan: channels of the shares; None: every share is on all channels.
 
     Raises:
-        ClusterError: no FlexRay cycle (16 ms at most) is long enough.
+        TooLong: no FlexRay cycle (16 ms at most) is long enough.
+        ClusterError: it has more slots than a cluster may have.
     """
     turns = max(len(row) for row in schedule.static_table)
     plan = plan or on_all(DEMO.channels)
@@ -53,6 +57,8 @@ def fitted_cluster(
     macroticks = (
         static_slots * slot_macroticks + minislots * DEMO.minislot_macroticks + _IDLE_MACROTICKS
     )
+    if macroticks > _MOST_MACROTICKS:
+        raise TooLong(f"they take {macroticks / 1e3:.1f} ms")
     return Cluster(
         name="fitted",
         cycle_us=float(macroticks),

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
+from concord.bus.bus import TooLong
 from concord.bus.flexray.channels.plan import (
     ChannelPlan,
     StaticPlace,
@@ -110,11 +111,11 @@ def allocate(
     places = static_places(schedule, len(static_payloads), plan, cluster.sync_slots)
     needed = max((one.first_id + len(static_payloads) - 1 for one in places), default=0)
     if needed > cluster.static_slots:
-        raise ValueError(
+        raise TooLong(
             f"the schedule needs {needed} static slots in a cycle, {len(static_payloads)} for each "
             f"share in frames of {cluster.static_payload_bytes} bytes, but cluster "
-            f"{cluster.name!r} has {cluster.static_slots}; lower the occupancy, use float32, or "
-            "another cluster"
+            f"{cluster.name!r} has {cluster.static_slots}; use fewer senders, shorter shares "
+            "or another cluster"
         )
     groups = contender_groups(contenders, plan)
     longest = max(len(members) for _, members in groups)

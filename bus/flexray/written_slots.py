@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from math import lcm
 
 from concord.bus.arbitration import ONE_CLASS, Arbiter
+from concord.bus.bus import TooLong
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.flexray_bus import FlexRayBus
@@ -179,10 +180,10 @@ def _check_static(slots: Sequence[MessageSlot], cluster: Cluster, frames: int) -
             owned[slot.node] += slot.sends(cycle)
         for node, count in sorted(owned.items()):
             if 0 < count < frames:
-                raise ValueError(
+                raise TooLong(
                     f"node {node} owns {count} static slot{'s' * (count > 1)} in cycle {cycle}, "
                     f"but a share takes {frames} frames of {cluster.static_payload_bytes} bytes; "
-                    "give it more, or use --number float32 or float16"
+                    "give it more, or send shorter shares"
                 )
 
 
@@ -205,10 +206,10 @@ def _contended(slots: Sequence[MessageSlot], payloads: Sequence[int]) -> list[Me
             )
         for slot, size in zip(chosen, payloads, strict=True):
             if slot.payload_bytes < size:
-                raise ValueError(
+                raise TooLong(
                     f"frame ID {slot.frame_id} of node {node}: payload_bytes is "
                     f"{slot.payload_bytes}, but a share needs {size}; set {size + size % 2}, or "
-                    "use --number float32 or float16"
+                    "send shorter shares"
                 )
         taken += chosen
     return taken

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from concord.bus.bus import Bus
+from concord.bus.bus import Bus, TooLong
 from concord.bus.flexray.channels.plan import ChannelPlan, channel_plan
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels
@@ -77,13 +77,10 @@ def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPla
             len(schedule.static_senders(cycle)) + schedule.dynamic_slots(cycle)
             for cycle in range(schedule.period)
         )
-        raise ValueError(
+        raise TooLong(
             f"no FlexRay cycle (16 ms at most) holds {senders} shares of {share_bytes} bytes"
             + (f" and frame IDs of {classes} urgency classes" if classes > 1 else "")
-            + "; lower --occupancy"
-            + (" or --urgency-classes" if classes > 1 else "")
-            + ", use --number float32, or --bus ideal for a bus without time "
-            f"({error})"
+            + f" ({error}); use fewer senders, or shorter shares"
         ) from None
 
 

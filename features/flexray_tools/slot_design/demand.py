@@ -158,7 +158,7 @@ def _share(share: ShareDemand, place: int, cluster: Cluster) -> Item:
     if len(payloads) > cluster.static_slots:
         raise DemandError(
             f"{name}: it takes {len(payloads)} slots in a cycle, but cluster {cluster.name!r} has "
-            f"{cluster.static_slots}; use float32, or longer static frames"
+            f"{cluster.static_slots}; use shorter shares, or longer static frames"
         )
     return Item(
         name,
