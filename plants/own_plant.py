@@ -14,7 +14,12 @@ from concord.plants.own_trials import (
     require_one_value,
     within_a_turn,
 )
-from concord.plants.own_values import covariance_of, require_description, vector_of
+from concord.plants.own_values import (
+    covariance_of,
+    gate_threshold,
+    require_description,
+    vector_of,
+)
 from concord.plants.placement import Draws, GeneratorFor, standard_draws
 
 
@@ -26,11 +31,13 @@ class OwnSensor:
         h: states (..., n) -> readings (..., m).
         R: covariance of the noise, (m, m), its diagonal (m,), or one variance.
         angles: entries of the reading that are angles in rad; their differences are wrapped.
-        gate: chi-square threshold beyond which the filter refuses a reading; None takes all.
+        gate: how likely a sound reading passes, from 0.7 to below 1, such as 0.99; or the
+            chi-square threshold itself. The filter refuses what lies beyond it. None takes all.
         channels: name and unit of each entry, for reports; may be left out.
 
     Raises:
-        ValueError: an R that is no covariance, or angles that the reading does not have.
+        ValueError: an R that is no covariance, angles that the reading does not have, or a gate
+            that would refuse half of the sound readings.
     """
 
     h: Function
@@ -41,6 +48,8 @@ class OwnSensor:
 
     def __post_init__(self) -> None:
         require_angles(self.angles, self.entries, "entries")
+        if self.gate is not None:
+            object.__setattr__(self, "gate", gate_threshold(self.gate, self.entries))
 
     @property
     def entries(self) -> int:

@@ -39,3 +39,37 @@ def covariance_of(name: str, given: ArrayLike, size: int) -> np.ndarray:
     if np.linalg.eigvalsh(matrix).min() < -1e-12 * max(1.0, np.abs(matrix).max()):
         raise ValueError(f"{name}: has a negative eigenvalue; a covariance has none")
     return matrix
+
+
+_LEAST_PROBABILITY, _LEAST_THRESHOLD = 0.7, 0.5
+
+
+def gate_threshold(gate: float, entries: int) -> float:
+    """Chi-square threshold of a gate, which is a probability or the threshold.
+
+    Probabilities are below 1 and thresholds above, so that neither is taken for the other.
+
+    Raises:
+        ValueError: a gate that is no number, or that would refuse too many sound readings.
+    """
+    # Only here: most sensors have no gate, and scipy takes longer to load than most commands take.
+    from scipy.special import chdtr, chdtri
+
+    if not np.isfinite(gate) or gate <= 0 or gate == 1:
+        raise ValueError(
+            f"gate {gate}: give the probability that a sound reading passes, such as 0.99, or a "
+            "chi-square threshold such as 6.63"
+        )
+    if gate < 1:
+        if gate < _LEAST_PROBABILITY:
+            raise ValueError(
+                f"gate {gate:g}: as a probability it would refuse {100 * (1 - gate):.3g} % of the "
+                f"sound readings; give {_LEAST_PROBABILITY:g} or more, such as 0.99"
+            )
+        return float(chdtri(entries, 1 - gate))
+    if (passed := float(chdtr(entries, gate))) < _LEAST_THRESHOLD:
+        raise ValueError(
+            f"gate {gate:g}: as a threshold for {entries} entries it would refuse "
+            f"{100 * (1 - passed):.3g} % of the sound readings; give a probability such as 0.99"
+        )
+    return float(gate)

@@ -231,6 +231,19 @@ def test_a_sound_filter_works_with_each_gate(gate: float | None):
     assert found.innovations.centralised.nis == pytest.approx(1, abs=0.15)
 
 
+def test_a_gate_is_a_probability_below_one_and_a_threshold_above():
+    assert sensor(gate=0.95).gate == pytest.approx(3.8415, abs=1e-4)
+    assert sensor(gate=3.84).gate == 3.84
+    two = {"R": [0.1, 0.1], "h": lambda x: x}
+    assert sensor(**two, gate=0.99).gate == pytest.approx(9.2103, abs=1e-4)
+    for wrong, says in ((0, "such as 0.99"), (-1, "such as 0.99"), (np.nan, "such as 0.99"),
+                        (0.5, "50 % of the sound readings"), (np.inf, "such as 0.99")):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            sensor(gate=wrong)
+    with pytest.raises(ValueError, match=r"as a threshold for 2 entries it would refuse 54\.9 %"):
+        sensor(**two, gate=1.2)
+
+
 SOUND = [
     *(("target-tracking", rule) for rule in ("ci", "sharp-ci", "trimmed-ci", "hcmci", "labelled")),
     ("target-crossing", "sharp-ci"),
