@@ -12,7 +12,7 @@ from concord._version import __version__
 from concord.nodes.tempo import Tempo
 from concord.results.places import new_name
 from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
-from concord.results.verdict.findings import Verdict
+from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.json_file import read_json, write_json
 from concord.scenarios.setup import Setup
 
@@ -95,7 +95,7 @@ class Description(msgspec.Struct, frozen=True):
     versions: dict[str, str]
     commit: str | None
     tempo: Tempo | None = None
-    verdict: Verdict | None = None
+    verdict: VerdictOnRuns | None = None
 
 
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
@@ -167,7 +167,7 @@ def write_description(folder: Path, description: Description) -> None:
     write_json(folder / DESCRIPTION, description)
 
 
-def write_verdict(folder: Path, verdict: Verdict) -> None:
+def write_verdict(folder: Path, verdict: VerdictOnRuns) -> None:
     """Write the verdict into run.json."""
     description = read_description_file(folder / DESCRIPTION)
     write_json(folder / DESCRIPTION, msgspec.structs.replace(description, verdict=verdict))

@@ -6,7 +6,7 @@ import numpy as np
 from concord.results.records.runs import Runs
 
 
-class Outage(msgspec.Struct, frozen=True):
+class NodeOutage(msgspec.Struct, frozen=True):
     """Nodes that were out together, from `first_step` to before `end_step`; None is to the end.
 
     `is_asked` says whether a change or a command asked for it; else the process was lost.
@@ -34,13 +34,13 @@ class Outage(msgspec.Struct, frozen=True):
         return f"{self.nodes_in_words()} {was} out from step {self.first_step} {until}, {why}"
 
 
-def outages_of(runs: Runs) -> list[Outage]:
+def outages_of(runs: Runs) -> list[NodeOutage]:
     """Return the outages of runs in order. In runs as arrays only what was asked for happens."""
     together: dict[tuple[int, int | None, bool], list[int]] = {}
     for node, first, end, is_asked in sorted(_single(runs)):
         together.setdefault((first, end, is_asked), []).append(node)
     keys = sorted(together, key=lambda key: (key[0], together[key]))
-    return [Outage(tuple(together[key]), *key) for key in keys]
+    return [NodeOutage(tuple(together[key]), *key) for key in keys]
 
 
 def _single(runs: Runs) -> set[tuple[int, int, int | None, bool]]:

@@ -47,7 +47,7 @@ from concord.results.smoothing import (
     smoothing_line,
     write_smoothed,
 )
-from concord.results.verdict.findings import Verdict
+from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
@@ -110,7 +110,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     end_by(figures.verdict)
 
 
-def end_by(verdict: Verdict) -> None:
+def end_by(verdict: VerdictOnRuns) -> None:
     """End with exit code 1 where the verdict is FAILED."""
     if verdict.has_failed:
         sys.exit(FAILED)

@@ -17,11 +17,11 @@ from concord.results.figures.intervals import (
 from concord.results.figures.run_frame import without_bound
 from concord.results.figures.run_view import RunView
 from concord.results.innovations.figures import InnovationFigures
-from concord.results.outages import Outage, outages_of
+from concord.results.outages import NodeOutage, outages_of
 from concord.results.records import record_spread
 from concord.results.records.extras import run_extras
 from concord.results.records.runs import RunCost, Runs
-from concord.results.verdict.findings import Verdict, VerdictLevel, beyond
+from concord.results.verdict.findings import VerdictLevel, VerdictOnRuns, beyond
 from concord.results.verdict.judge import anees_interval, judge
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.innovations import HearsAll, innovations_of_all
@@ -67,11 +67,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     first_run: int
     steps: int
     first_step: int
-    verdict: Verdict
+    verdict: VerdictOnRuns
     figures: dict[str, Interval]
     nodes: list[dict[str, Interval]]
     noticed: dict[str, float]
-    outages: list[Outage]
+    outages: list[NodeOutage]
     warning: str | None
     innovations: InnovationFigures | None
     details: dict[str, Any]

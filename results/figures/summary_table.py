@@ -74,7 +74,7 @@ def _works(figures: Summary, scenario: Scenario, driver: str) -> str:
         if not missed + rejected
         else f"{missed:,.0f} frames were missed and {rejected:,.0f} rejected"
     )
-    return f"{scenario.nodes} {processes} went through {runs}{figures.steps} steps; {frames}."
+    return f"{scenario.nodes} {processes} took {runs}{figures.steps} steps; {frames}."
 
 
 def _error(figures: Summary) -> str | None:
@@ -102,9 +102,7 @@ def _bus(figures: Summary, scenario: Scenario) -> str:
     part = occupancy_of(scenario.bus.schedule)
     who = "every node sends" if part == 1 else f"{_part(part)} of the nodes send"
     sent = figures.value("bytes_per_step")
-    load = figures.value("bus_load")
-    busy = "" if np.isnan(load) else f", load {100 * load:.3g} %"
-    return f"{who} in a cycle: {sent:.0f} bytes a step on {scenario.bus.name}{busy}"
+    return f"{who} in a cycle: {sent:.0f} bytes a step on {scenario.bus.name}"
 
 
 def _part(part: float) -> str:

@@ -26,7 +26,7 @@ class RefusedAtNode(NamedTuple):
     is_locked: bool
 
 
-class Refused(NamedTuple):
+class GateRefusals(NamedTuple):
     """Refusals at each node that has a gate."""
 
     nodes: tuple[RefusedAtNode, ...]
@@ -66,7 +66,7 @@ def accepted(setup: Setup, innovations: Innovations) -> Innovations:
     )
 
 
-def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray) -> Refused:
+def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray) -> GateRefusals:
     """Refusals among own innovations (R, S, N, r, m) in the steps that count (R, S)."""
     from scipy.special import bdtrc, chdtrc
 
@@ -81,7 +81,7 @@ def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray
         locked = taken > 0 and chance < FALSE_ALARMS / len(gates)
         locked &= refused > max(_LOCKED * expected, 0.5) * taken
         found.append(RefusedAtNode(node, taken, refused, expected, bool(locked)))
-    return Refused(tuple(found))
+    return GateRefusals(tuple(found))
 
 
 def gates_of(setup: Setup) -> np.ndarray:

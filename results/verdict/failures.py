@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from concord.results.figures.run_view import RunView
-from concord.results.innovations.gates import Refused
+from concord.results.innovations.gates import GateRefusals
 from concord.results.outages import outages_of
 from concord.results.verdict.findings import Finding
 from concord.scenarios.catalogue import definition_of
@@ -15,7 +15,7 @@ _UNUSABLE = ("not-positive-definite", "not-finite", "measurement-infinite")
 """Endings of the reasons for which nodes refuse the values of a sound frame."""
 
 
-def failures(view: RunView, refused: Refused | None) -> Iterator[Finding]:
+def failures(view: RunView, refused: GateRefusals | None) -> Iterator[Finding]:
     """Yield what failed in runs, first the cause that makes all others meaningless."""
     yield from _truth(view)
     yield from _filters(view)
@@ -114,7 +114,7 @@ def _readings(view: RunView) -> Iterator[Finding]:
         )
 
 
-def _gates(refused: Refused) -> Iterator[Finding]:
+def _gates(refused: GateRefusals) -> Iterator[Finding]:
     for one in refused.nodes:
         if one.taken and one.refused == one.taken:
             yield Finding(

@@ -40,7 +40,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.said}; {self.cure}" if self.cure else self.said
 
 
-class Verdict(msgspec.Struct, frozen=True):
+class VerdictOnRuns(msgspec.Struct, frozen=True):
     """The level, cause and sentence of the first finding, and all findings, the gravest first."""
 
     level: VerdictLevel
@@ -58,12 +58,12 @@ class Verdict(msgspec.Struct, frozen=True):
         return f"{self.level}: {self.findings[0].in_words()}"
 
 
-def verdict_of(findings: Sequence[Finding]) -> Verdict:
+def verdict_of(findings: Sequence[Finding]) -> VerdictOnRuns:
     """Return the verdict of findings in the order in which they make others meaningless; there is
     at least one."""
     ordered = sorted(findings, key=lambda one: LEVELS.index(one.level))
     first = ordered[0]
-    return Verdict(first.level, first.cause, first.said, ordered)
+    return VerdictOnRuns(first.level, first.cause, first.said, ordered)
 
 
 def beyond(found: Interval) -> str:

@@ -202,8 +202,8 @@ def _of_estimates(scenario: Scenario, nis: Interval, anees: Interval) -> tuple[s
 
 
 def times_claimed(anees: float) -> str:
-    """ "errors 1.25 times those they make (ANEES 0.64; 1 is exact)"."""
-    return f"errors {1 / np.sqrt(anees):.3g} times those they make (ANEES {anees:.3g}; 1 is exact)"
+    """ "errors 1.25 x those they make (ANEES 0.64; 1 is exact)"."""
+    return f"errors {1 / np.sqrt(anees):.3g} x those they make (ANEES {anees:.3g}; 1 is exact)"
 
 
 def _mean(test: ChannelTest, channel: Channel) -> str:

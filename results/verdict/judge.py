@@ -26,7 +26,7 @@ from concord.results.innovations.figures import (
 )
 from concord.results.innovations.gates import accepted, refused_by_gates
 from concord.results.verdict.failures import failures
-from concord.results.verdict.findings import MARGIN, Finding, Verdict, beyond, verdict_of
+from concord.results.verdict.findings import MARGIN, Finding, VerdictOnRuns, beyond, verdict_of
 from concord.results.verdict.honesty import (
     ESTIMATES_CONFIDENCE,
     honesty,
@@ -47,7 +47,7 @@ class Judged(NamedTuple):
     """The verdict, and the figures of innovations; None where estimates are sets, or sensors have
     no filter."""
 
-    verdict: Verdict
+    verdict: VerdictOnRuns
     innovations: InnovationFigures | None
 
 

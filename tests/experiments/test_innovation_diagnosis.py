@@ -37,7 +37,7 @@ def _diagnosed(found: np.ndarray, variances: np.ndarray) -> Diagnosis:
 
 
 def test_a_consistent_run_is_accused_as_rarely_as_is_claimed():
-    """Bonferroni's bound is an upper one, and 1 % of 400 runs are 4."""
+    """Bonferroni's bound is an upper one."""
     accused = sum(one.cause is not Cause.NONE for one in diagnosed(Planted(), 400))
     assert stats.binomtest(accused, 400, FALSE_ALARMS, alternative="greater").pvalue > 1e-3
 

@@ -68,7 +68,7 @@ def test_other_channels_are_counted():
     [
         (FITTING, FITTING, "WORKS", "consistent: models and sensors fit the readings (NIS 1, ANE"),
         (FITTING, UNKNOWN, "WORKS", "consistent: models and sensors fit the readings (NIS 1 where"),
-        (FITTING, Interval(0.64, 0.4, 0.9), "WORKS", "claim errors 1.25 times those they make (AN"),
+        (FITTING, Interval(0.64, 0.4, 0.9), "WORKS", "claim errors 1.25 x those they make (AN"),
         (FITTING, Interval(2.0, 1.5, 2.5), "CHECK", "but rule ci claims too much (ANEES 2 where"),
         (Interval(1.5, 1.2, 1.8), UNKNOWN, "CHECK", "but rule ci claims too much (NIS 1.5 where"),
         (FITTING, Interval(1.05, 1.01, 1.09), "WORKS", "consistent"),
@@ -193,7 +193,7 @@ def test_json_has_the_verdict_and_its_figures(tmp_path: Path, capsys: pytest.Cap
 
 def test_the_first_word_of_a_run_is_its_level_and_its_folder_keeps_it(tmp_path: Path, capsys):
     main(f"run --scenario oscillator --nodes 4 --steps 60 --out {tmp_path}/run".split())
-    assert capsys.readouterr().out.startswith("WORKS  4 nodes went through 60 steps")
+    assert capsys.readouterr().out.startswith("WORKS  4 nodes took 60 steps")
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["verdict"]
     assert kept["level"] == "WORKS" and kept["cause"] in ("consistent", "cautious")
 

@@ -149,7 +149,7 @@ def test_the_verdict_opens_the_figures_in_lines_of_eighty_characters():
     assert max(map(len, said)) <= 80
     longer = small(steps=80, nodes=4)
     said = opening(summary_of(longer, read_trace(longer, in_memory(longer))), longer.scenario, "x")
-    assert said[0] == "WORKS  4 nodes went through 80 steps; no frame was missed or rejected."
+    assert said[0] == "WORKS  4 nodes took 80 steps; no frame was missed or rejected."
     text = " ".join(" ".join(said).split())
     assert re.search(
         r"error \S+ m in the network, \S+ m for a node alone, \S+ m for one filter", text

@@ -1,4 +1,4 @@
-"""Verdict on a logged car: its errors of side slip beside the innovations."""
+"""VerdictOnRuns on a logged car: its errors of side slip beside the innovations."""
 
 import numpy as np
 import pytest
