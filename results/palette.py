@@ -103,9 +103,8 @@ def fit_width(figure: "Figure", width: float) -> None:
     figure.set_size_inches(width, max(figure.get_figheight() * ratio, _LEAST_HEIGHT))
     for found in figure.findobj(Text):
         assert isinstance(found, Text)
-        found.set_fontsize(
-            min(found.get_fontsize(), max(_LEAST_FONT, found.get_fontsize() * ratio))
-        )
+        size = float(found.get_fontsize())
+        found.set_fontsize(min(size, max(_LEAST_FONT, size * ratio)))
 
 
 def save(figure: "Figure", path: Path) -> None:
