@@ -23,12 +23,12 @@ from concord.features.vehicle.plant.validity import SLOWEST_M_S
 from concord.features.vehicle.slip_evidence import reference_of, slip_evidence
 from concord.filters.gaussian import Gaussian
 from concord.plants.recorded.channels import ChannelReadings, readings_between
-from concord.results.verdict.honesty import ESTIMATES_CONFIDENCE
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
 
 LONGEST_S = 30.0
 """Time of a log that is searched, from its first scored step on; a second takes half a second."""
+_CONFIDENCE = 0.995
 _DRIVER: dict[tuple[str, ...], str] = {
     ("process_noise", "steering_rad"): "steers",
     ("process_noise", "acceleration_m_s2"): "accelerates",
@@ -41,7 +41,7 @@ def explained(setup: Setup, belief: Gaussian, counted: np.ndarray, cure: str) ->
 
     `belief` (S, n) is that of the filter that hears everything.
     """
-    slip = slip_evidence(setup, belief, counted, LONGEST_S, ESTIMATES_CONFIDENCE)
+    slip = slip_evidence(setup, belief, counted, LONGEST_S, _CONFIDENCE)
     cause = log_cause(setup, counted)
     misread = "look at units, signs and stamps in columns.toml before car.toml"
     return Explanation(cure, cause, misread if cause else "", slip.in_words(), slip.anees)

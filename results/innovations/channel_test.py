@@ -12,7 +12,7 @@ import numpy as np
 
 from concord.results.figures.intervals import Interval, chi_square_quantile, mean_t
 
-LEAST_UPDATES, LEAST_SERIES = 8, 20
+LEAST_UPDATES, LEAST_SERIES = 8, 50
 """A channel with fewer updates is not tested, and with fewer than the second not for whiteness.
 Student's t and chi-square are exact for few samples; the law of Ljung and Box is one of many."""
 MOST_LAGS = 10

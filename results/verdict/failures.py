@@ -18,8 +18,9 @@ _UNUSABLE = ("not-positive-definite", "not-finite", "measurement-infinite")
 def failures(view: RunView, refused: GateRefusals | None) -> Iterator[Finding]:
     """Yield what failed in runs, first the cause that makes all others meaningless."""
     yield from _truth(view)
-    yield from _filters(view)
+    # What a rule spoils, the filters cannot use.
     yield from _fusions(view)
+    yield from _filters(view)
     yield from _readings(view)
     if refused is not None:
         yield from _gates(refused)

