@@ -65,8 +65,8 @@ def _most_senders(setup: Setup, others: dict[str, str]) -> str:
     for count in reversed(counts):
         occupancy = round(count / scenario.nodes, 3)
         if _fitting(setup, occupancy=occupancy, **others):
-            said = (f"--{name} {value}" for name, value in others.items())
-            return " ".join((f"--occupancy {occupancy:g}", *said))
+            words = (f"--{name} {value}" for name, value in others.items())
+            return " ".join((f"--occupancy {occupancy:g}", *words))
     return ""
 
 

@@ -20,11 +20,12 @@ from concord.filters.linalg import cholesky, inverse_of_triangle
 # next, how many at most, and Newton's steps on each.
 _FIRST_BARRIER, _STEP_OF_BARRIER, _MOST_BARRIERS = 10.0**-0.5, 0.1, 11
 _NEWTON_STEPS, _HALVINGS = 30, 20
-# Sum that the multipliers stay below. Terms that all but contradict each other let them grow
-# without end at next to no gain, until rounding in M hides the trace. Lanes that come near the sum
-# are followed again without it; the result is taken where the trace is less than this part.
+# Sums that the multipliers stay below. A sum is the inverse square of the thinnest width, relative
+# to a ball. Terms that all but contradict each other let it grow without end at next to no gain,
+# until rounding in M hides the trace. Lanes that come near a sum are followed again with the next;
+# the result is taken where the trace is less than this part, which is more than rounding moves it.
 _MOST_SUM, _NEAR = 1e6, 0.1
-_MUCH_LESS = 0.5
+_NEXT_SUMS = ((1e8, 0.999), (1e10, 0.999), (1e12, 0.99), (math.inf, 0.5))
 # Part of the way to the edge that a step may go.
 _MOST_OF_THE_WAY = 0.9
 # Squared Newton decrement at which a barrier is done, and the last one, on which the dual variables
@@ -75,13 +76,19 @@ def least_on_path(task: BarrierTask, accuracy: float) -> tuple[np.ndarray, np.nd
         accuracy: the duality gap to reach, relative to the trace.
     """
     found, trace, least = _follow(task, accuracy)
-    lanes = np.flatnonzero(found.sum(-1) > _NEAR * task.most)
-    if len(lanes):
-        unbounded = _part(task, lanes)._replace(most=math.inf)
-        beyond, trace_beyond, least_beyond = _follow(unbounded, accuracy)
+    lanes, most = np.arange(len(found)), task.most
+    for next_most, less_than in _NEXT_SUMS:
+        lanes = lanes[found[lanes].sum(-1) > _NEAR * most]
+        if not len(lanes):
+            break
+        beyond, trace_beyond, least_beyond = _follow(
+            _part(task, lanes)._replace(most=next_most), accuracy
+        )
         # Also where the terms contradict each other: the trace goes to zero there.
-        less = trace_beyond < _MUCH_LESS * trace[lanes]
-        found[lanes[less]], least[lanes[less]] = beyond[less], least_beyond[less]
+        less = trace_beyond < less_than * trace[lanes]
+        lanes, most = lanes[less], next_most
+        found[lanes], trace[lanes] = beyond[less], trace_beyond[less]
+        least[lanes] = least_beyond[less]
     return found, least
 
 

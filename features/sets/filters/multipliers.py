@@ -21,13 +21,15 @@ import numpy as np
 from concord.features.sets.filters.barrier_path import BarrierTask, least_on_path
 from concord.features.sets.filters.criterion import Criterion, unit_free
 from concord.features.sets.filters.ellipsoid import squared
-from concord.features.sets.filters.rounding import pseudo_inverse, rounding_bound, row_units
+from concord.features.sets.filters.rounding import (
+    RANK_TOLERANCE,
+    pseudo_inverse,
+    rounding_bound,
+    row_units,
+)
 from concord.features.sets.options import ACCURACY
 from concord.filters.linalg import cholesky
 
-# Directions of `known` that are weaker, relative to the strongest, are not followed on the way to
-# the multipliers. The gain follows them.
-_WEAK = 1e-7
 # Room inside M > 0, so that no rounding can close it.
 _MARGIN = 1e-7
 
@@ -162,7 +164,7 @@ def _normalised(problem: Problem) -> tuple[BarrierTask, np.ndarray, np.ndarray]:
     _, singular, rows = np.linalg.svd(known / row_units(known)[..., None])
     # Singular values descend, and the axes are turned round: the null space comes first.
     axes = rows[:, ::-1].mT
-    followed = (singular > _WEAK * singular.max(-1, keepdims=True, initial=0.0)).sum(-1)
+    followed = (singular > RANK_TOLERANCE * singular.max(-1, keepdims=True, initial=0.0)).sum(-1)
     width = terms.shape[-1] - int(followed.min(initial=known.shape[-1]))
     free = np.arange(width) < (terms.shape[-1] - followed)[:, None]
     image = (image / size[:, None, None]) @ axes[..., :width]

@@ -12,6 +12,7 @@ those before the cycle.
 
 import numpy as np
 
+from concord.features.sets.filters.closed_form import closed_form_step
 from concord.features.sets.filters.criterion import Criterion, unit_free
 from concord.features.sets.filters.cycle import (
     CycleResult,
@@ -31,6 +32,9 @@ from concord.features.sets.filters.lifted_cycle import AugmentedCycle
 from concord.features.sets.filters.multipliers import ACCURACY, Problem, smallest_bound
 from concord.features.sets.filters.rounding import magnitudes, pseudo_inverse, rounding_bound
 from concord.filters.linalg import join_columns, join_stacks, multiply, squared_lengths
+
+# The closed form is taken where its trace is this part: more than the accuracy of the programme.
+_MUCH_LESS = 0.999
 
 
 def optimal_step(
@@ -67,7 +71,31 @@ def optimal_step(
     known = known * (radii(seen, size, samples) / parted(share, seen, size))
     uncut = np.sqrt(squared_lengths(asked.image))
     proof = Proof(bound.factor, bound.gain, known, pseudo_inverse(known), bound.gap, uncut)
-    return follow(before, cycle, received, proof, criterion)
+    found = follow(before, cycle, received, proof, criterion)
+    closed = closed_form_step(before, cycle, received, criterion)
+    return _smaller(found, closed, criterion(uncut))
+
+
+def _smaller(found: CycleResult, closed: CycleResult, weights: np.ndarray) -> CycleResult:
+    """The result of the programme, or that of the closed form where it is smaller.
+
+    A multiplier of 0 for each loser is one of the choices. Where widths differ by more than
+    rounding leaves of their squares, the search ends far from the least.
+    """
+    ours, other = (squared_lengths(weights * half_widths(one.after)) for one in (found, closed))
+    better = other < _MUCH_LESS * ours
+    if not better.any():
+        return found
+    lanes = better[..., None]
+    after = Ellipsoid(
+        np.where(lanes, closed.after.centre, found.after.centre),
+        np.where(lanes[..., None], closed.after.factor, found.after.factor),
+    )
+    gain = np.where(lanes[..., None], closed.gain, found.gain)
+    # A bound of the least trace that is above one that was found is none.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = 1.0 - (1.0 - found.gap) * ours / other
+    return CycleResult(after, gain, np.where(better, np.where(gap >= 0.0, gap, 1.0), found.gap))
 
 
 def problem(
