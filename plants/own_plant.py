@@ -14,7 +14,12 @@ from concord.plants.own_trials import (
     require_one_value,
     within_a_turn,
 )
-from concord.plants.own_values import covariance_of, require_description, vector_of
+from concord.plants.own_values import (
+    covariance_of,
+    numbers_of,
+    require_description,
+    vector_of,
+)
 from concord.plants.placement import Draws, GeneratorFor, standard_draws
 
 
@@ -50,7 +55,7 @@ class OwnSensor:
     @cached_property
     def noise_cov(self) -> np.ndarray:
         """Covariance (m, m) of the noise."""
-        return covariance_of("R", self.R, np.atleast_1d(np.asarray(self.R)).shape[0])
+        return covariance_of("R", self.R)
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Readings (..., m) of states (..., n), without noise."""
@@ -100,7 +105,7 @@ class OwnPlant:
         require_description(n, self.time_step_s, self.state_names, self.state_units)
         require_angles(self.angles, n, "states")
         law = self.prior_mean, self.prior_cov
-        _ = self.noise_cov
+        _ = self.noise_cov, self.places
         require_lanes("f", self.f, self.prior_mean, n)
         require_one_value("f(x)", self.f, *law, self.angles, self.angles)
 
@@ -123,6 +128,18 @@ class OwnPlant:
     def noise_cov(self) -> np.ndarray:
         """Covariance (n, n) of the process noise."""
         return covariance_of("Q", self.Q, self.states)
+
+    @cached_property
+    def places(self) -> np.ndarray | None:
+        """Places (nodes, 2) of the nodes in m; None where the user named none."""
+        if self.positions is None:
+            return None
+        places = numbers_of("positions", self.positions)
+        if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
+            raise ValueError(
+                f"positions of shape {places.shape}: must be (nodes, 2), two finite numbers in m"
+            )
+        return places
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., n) one step later, without noise; angles less than half a turn away."""
@@ -205,10 +222,10 @@ class OwnTruth:
 
     def positions(self, step: int) -> np.ndarray | None:
         """Return the nodes' places (nodes, 2) in m; None where the user named none."""
-        if self.plant.positions is None:
+        places = self.plant.places
+        if places is None:
             return None
-        places = np.asarray(self.plant.positions, dtype=float)
-        if places.shape != (len(self.sensors), 2):
+        if len(places) != len(self.sensors):
             raise ValueError(
                 f"positions of shape {places.shape}: must be ({len(self.sensors)}, 2), a place for "
                 "each node"
@@ -223,6 +240,17 @@ def require_sensors(plant: OwnPlant, sensors: Sequence[OwnSensor | None]) -> Non
         ValueError: no sensor at all, an h of another shape or without leading axes, or one that
             jumps by a turn in an entry that is not in its `angles`.
     """
+    if not isinstance(sensors, Sequence) or isinstance(sensors, str):
+        raise ValueError(
+            f"sensors of type {type(sensors).__name__}: must be a list, such as "
+            "[OwnSensor(...), None]"
+        )
+    for place, sensor in enumerate(sensors):
+        if sensor is not None and not isinstance(sensor, OwnSensor):
+            raise ValueError(
+                f"sensors: entry {place} is of type {type(sensor).__name__}; it must be an "
+                "OwnSensor, or None for a blind node"
+            )
     if not any(sensor is not None for sensor in sensors):
         raise ValueError("sensors: none of the nodes has one; give at least one OwnSensor")
     for sensor in sensors:

@@ -20,6 +20,8 @@ Function = Callable[[np.ndarray], ArrayLike]
 
 def require_lanes(name: str, function: Function, mean: np.ndarray, entries: int) -> None:
     """Try a function on lanes of states, and on each of them alone."""
+    if not callable(function):
+        raise ValueError(f"{name} of type {type(function).__name__}: must be a function of states")
     lanes = mean + np.linspace(0, 0.1, 6).reshape(*_TRIED, 1)
     try:
         together = np.asarray(function(lanes), dtype=float)
@@ -54,7 +56,9 @@ def within_a_turn(values: np.ndarray, angles: tuple[int, ...]) -> np.ndarray:
 
 def require_angles(angles: tuple[int, ...], size: int, what: str) -> None:
     """Refuse angles that are no places of `size` states or entries, each given once."""
-    if len(set(angles)) < len(angles) or any(one not in range(size) for one in angles):
+    places = range(size)
+    is_tuple = isinstance(angles, tuple | list)
+    if not is_tuple or len({*angles}) < len(angles) or any(one not in places for one in angles):
         raise ValueError(f"angles {angles}: must be some of the {what} 0 to {size - 1}, each once")
 
 
