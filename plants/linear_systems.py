@@ -88,4 +88,4 @@ def _step_s(system: Any, asked_s: float | None) -> float:
             raise ValueError(
                 f"time_step_s {asked_s}: the system is sampled at {own} s; leave it out"
             )
-    return float(own if is_timed else asked_s or 0)
+    return float((own if is_timed else asked_s) or 0)

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from concord.plants.own_trials import (
     Function,
     require_angles,
+    require_dependence,
+    require_finite,
     require_lanes,
     require_one_value,
     within_a_turn,
@@ -107,6 +109,7 @@ class OwnPlant:
         law = self.prior_mean, self.prior_cov
         _ = self.noise_cov, self.places
         require_lanes("f", self.f, self.prior_mean, n)
+        require_finite("f(x)", self.f, *law)
         require_one_value("f(x)", self.f, *law, self.angles, self.angles)
 
     @property
@@ -257,6 +260,7 @@ def require_sensors(plant: OwnPlant, sensors: Sequence[OwnSensor | None]) -> Non
         if sensor is not None:
             require_lanes("h", sensor.h, plant.prior_mean, sensor.entries)
             law = plant.prior_mean, plant.prior_cov
+            require_dependence("h(x)", sensor.h, *law, plant.angles)
             require_one_value("h(x)", sensor.h, *law, plant.angles, sensor.angles)
 
 

@@ -20,7 +20,7 @@ class FilterEntry(NamedTuple):
         build: (its value in the scenario, the scenario's sigma points) -> the filter.
         linear: serves only plants and sensors that are linear.
         singular: takes beliefs whose covariance has no inverse.
-        square_root: takes a reading of any sharpness, in square-root form.
+        square_root: takes readings however small their noise, in square-root form.
         robust: departs from the Kalman filter on linear models, on purpose.
         models: number of models of a belief.
     """

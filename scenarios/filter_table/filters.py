@@ -191,9 +191,8 @@ def _ever_known(prior: Gaussian, model: Model) -> bool:
         if not np.isnan(cholesky(belief.cov)).any():
             return False
         noise_cov = model.process_noise_cov(step)
-        belief = filter.predict(
-            belief, partial(model.transition, control=None, step=step), noise_cov
-        )
+        transition = partial(model.transition, control=None, step=step)
+        belief = filter.predict(belief, transition, noise_cov)
     return bool(np.isnan(cholesky(belief.cov)).any())
 
 
