@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from concord.results.records.netcdf_file import ARRAYS, open_dataset
 from concord.results.records.runs_file import runs_dataset, runs_of_dataset
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
-from concord.scenarios.types.option import python_words
+from concord.scenarios.types.option import python_words, require_kind
 from concord.studies.memory import check_memory
 from concord.studies.monte_carlo.simulate import AGES, COV, READINGS
 from concord.studies.monte_carlo.simulate import simulate as simulate_setup
@@ -30,6 +31,7 @@ def scenario(name: str, **options: Any) -> Scenario:
     Raises:
         ValueError: an unknown name or option; the message offers the nearest.
     """
+    require_kind("scenario", name, str, "a name of `concord list`, or FILE.py:NAME")
     return scenario_of(name, **options)
 
 
@@ -49,6 +51,7 @@ def simulate(scenario: Scenario, runs: int = 1, *, covariances: bool = False) ->
     Raises:
         ValueError: a scenario that cannot run, no run, or more than the memory holds.
     """
+    _require_scenario(scenario)
     at_least_one("runs", runs)
     check_memory(scenario, runs)
     setup = prepare(scenario)
@@ -96,9 +99,15 @@ def launch(
     from concord.experiments.launching import launched
     from concord.scenarios.definitions.own import portable
 
+    _require_scenario(scenario)
     check_memory(scenario, messages=True)
     setup = prepare(portable(scenario))
     return load(launched(setup, None if out is None else Path(out), dashboard))
+
+
+def _require_scenario(given: object) -> None:
+    name = repr(given) if isinstance(given, str) else "..."
+    require_kind("scenario", given, Scenario, f"a scenario, such as cc.scenario({name})")
 
 
 def load(folder: Path | str) -> "xarray.Dataset":
@@ -108,6 +117,7 @@ def load(folder: Path | str) -> "xarray.Dataset":
     Raises:
         ValueError: the folder has no results, or they cannot be read.
     """
+    require_kind("folder", folder, (str, Path), "the folder of a finished run, or a file")
     file = Path(folder) if Path(folder).is_file() else Path(folder) / ARRAYS
     if not file.is_file():
         raise ValueError(
@@ -129,14 +139,16 @@ def agree(scenario: Scenario) -> "tuple[DriverDifference, ...]":
     from concord.scenarios.definitions.own import portable
     from concord.studies.agree import agreement
 
+    _require_scenario(scenario)
     return agreement(prepare(portable(scenario))).differences
 
 
 def at_least_one(name: str, value: int) -> None:
-    """Refuse a number below 1.
+    """Refuse a number below 1, or none that is whole.
 
     Raises:
         ValueError: naming it and its value.
     """
+    require_kind(name, value, (int, np.integer), "a whole number")
     if value < 1:
         raise ValueError(f"{name} {value}: must be at least 1")

@@ -12,7 +12,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.scenario import Scenario, in_words
 from concord.scenarios.types.assignment import flat
-from concord.scenarios.types.option import Choice, python_words
+from concord.scenarios.types.option import Choice, python_words, require_kind
 from concord.scenarios.user.values import kept_source
 from concord.studies.compare.entries import asked_cases, check_together, entries_of, own_rules
 from concord.studies.compare.output import write_comparison
@@ -98,6 +98,7 @@ def compare(
     Raises:
         ValueError: a rule, a case or data that cannot be used.
     """
+    require_kind("rules", rules, Sequence, "a list of functions or of FILE.py:NAME")
     sources = own_rules([_word("rule", rule) for rule in rules])
     names = [getattr(rule, "__name__", source) for rule, source in zip(rules, sources, strict=True)]
     own = {
@@ -141,6 +142,8 @@ def design(
     Raises:
         ValueError: a target that is none, or no candidate that can run.
     """
+    must = "a text, such as '1.5x-centralised' or '8'"
+    require_kind("target_rmse", target_rmse, str, must)
     target, limits = parse_target(target_rmse), BusLimits(latency_ms, load)
     limits.check()
     specification = _specification(scenario, options, runs, None, workers == 1)
@@ -155,11 +158,22 @@ def design(
 
 
 def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
-    """Return the pictures of a sweep or a design by name."""
+    """Return the pictures of a sweep or a design by name.
+
+    Raises:
+        ValueError: a result of neither.
+    """
+    # Only here: other functions need no data sets.
+    import xarray
+
+    must = "what cc.sweep or cc.design returns; `concord plot FOLDER` draws a run"
+    require_kind("plots", result, (xarray.Dataset, Design), must)
     if isinstance(result, Design):
         from concord.studies.design.plots import design_figures
 
         return design_figures(result)
+    if "specification" not in result.attrs:
+        raise ValueError(f"plots of a data set of {sorted(result.sizes)}: must be {must}")
     from concord.studies.sweep.plots import sweep_figures
 
     return sweep_figures(result)
@@ -186,6 +200,8 @@ def _specification(
 
 def _values(name: str, values: Any) -> str:
     """The values of an option in the words of a sweep."""
+    if name != "graph" and hasattr(values, "to_numpy"):
+        values = values.to_numpy()  # a DataArray, or a Series of pandas
     values = values.tolist() if isinstance(values, np.ndarray) and name != "graph" else values
     several = isinstance(values, Sequence) and not isinstance(values, str)
     if name == "changes" and several and not any(";" in one for one in values):
@@ -205,4 +221,4 @@ def _word(name: str, value: Any) -> Any:
     own = isinstance(value, Filter) if name == "filter" else callable(value)
     if own and name in ("rule", "bus", "filter"):
         return kept_source(value).name
-    return in_words({name: value})[name]
+    return value if name == "changes" else in_words({name: value})[name]

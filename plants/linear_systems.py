@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_values import covariance_of, numbers_of
 
 
 def from_control(
@@ -17,29 +18,33 @@ def from_control(
     cov: ArrayLike,
     time_step_s: float | None = None,
 ) -> tuple[OwnPlant, OwnSensor]:
-    """The plant and the sensor of a `control.StateSpace`, without its inputs.
+    """The plant and the sensor of a linear system, whose inputs are 0: its B and D have no effect.
 
     Args:
-        system: a linear system; a continuous one is sampled at `time_step_s`.
+        system: a `control.StateSpace`, or a state space of scipy.signal; a continuous one is
+            sampled at `time_step_s`.
         Q: covariance of the process noise of a step, (n, n) or (n,).
         R: covariance of the noise of its outputs, (m, m) or (m,).
         mean, cov: law of the first state, as in `OwnPlant`.
         time_step_s: sampling time; that of the system when left out.
 
     Raises:
-        ValueError: a system without a sampling time, or one of another than `time_step_s`.
+        ValueError: no state space, one that leaves open whether it is continuous, one without a
+            sampling time, or one of another than `time_step_s`.
     """
-    is_continuous = system.dt in (None, 0, True)
-    if is_continuous and time_step_s is None:
-        raise ValueError("the system has no sampling time; give time_step_s")
-    if not is_continuous and time_step_s not in (None, system.dt):
+    kind = type(system).__name__
+    if not all(hasattr(system, name) for name in "ABCD"):
         raise ValueError(
-            f"time_step_s {time_step_s}: the system is sampled at {system.dt} s; leave it out"
+            f"system: a {kind} has no states for mean, cov and Q; give control.StateSpace, which "
+            "control.ss makes of a transfer function, or scipy.signal.StateSpace"
         )
-    if system.dt == 0:
-        system = system.sample(time_step_s)
-    transition, output = np.asarray(system.A, dtype=float), np.asarray(system.C, dtype=float)
-    sampled_s = float(system.dt) if not is_continuous else float(time_step_s or 0)
+    sampled_s = _step_s(system, time_step_s)
+    if _is_continuous(system):
+        sampled = system.to_discrete if hasattr(system, "to_discrete") else system.sample
+        system = sampled(sampled_s)
+    transition, output = numbers_of("A", system.A), numbers_of("C", system.C)
+    if not (np.isfinite(transition).all() and np.isfinite(output).all()):
+        raise ValueError("system: A and C must be finite")
     names = tuple(map(str, getattr(system, "state_labels", None) or ()))
     plant = OwnPlant(
         f=lambda x: x @ transition.T,
@@ -49,4 +54,38 @@ def from_control(
         time_step_s=sampled_s,
         state_names=names,
     )
-    return plant, OwnSensor(h=lambda x: x @ output.T, R=R)
+    return plant, OwnSensor(h=lambda x: x @ output.T, R=covariance_of("R", R, len(output)))
+
+
+def _is_continuous(system: Any) -> bool:
+    # scipy says None, python-control 0; there None leaves it open.
+    if type(system).__module__.startswith("scipy"):
+        return system.dt is None
+    return not isinstance(system.dt, bool) and system.dt == 0
+
+
+def _step_s(system: Any, asked_s: float | None) -> float:
+    """The sampling time of a system, as the system or the caller says it.
+
+    Raises:
+        ValueError: neither does, both differ, or the system may be continuous or not.
+    """
+    own = system.dt
+    if own is None and not _is_continuous(system):
+        raise ValueError(
+            "system with dt None: it may be continuous or sampled; give it dt 0 for continuous, or "
+            "its sampling time"
+        )
+    # True says sampled, at a time unknown; it equals 1.
+    is_timed = not isinstance(own, bool) and not _is_continuous(system)
+    if asked_s is None and not is_timed:
+        raise ValueError("the system has no sampling time; give time_step_s")
+    if asked_s is not None:
+        is_time = isinstance(asked_s, int | float | np.number) and not isinstance(asked_s, bool)
+        if not (is_time and 0 < asked_s < np.inf):
+            raise ValueError(f"time_step_s {asked_s}: must be a finite number above 0")
+        if is_timed and not np.isclose(asked_s, own, rtol=1e-9, atol=0):
+            raise ValueError(
+                f"time_step_s {asked_s}: the system is sampled at {own} s; leave it out"
+            )
+    return float((own if is_timed else asked_s) or 0)

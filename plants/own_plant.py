@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from concord.plants.own_trials import (
     Function,
     require_angles,
+    require_dependence,
+    require_finite,
     require_lanes,
     require_one_value,
     within_a_turn,
@@ -17,6 +19,7 @@ from concord.plants.own_trials import (
 from concord.plants.own_values import (
     covariance_of,
     gate_threshold,
+    numbers_of,
     require_description,
     vector_of,
 )
@@ -59,7 +62,7 @@ class OwnSensor:
     @cached_property
     def noise_cov(self) -> np.ndarray:
         """Covariance (m, m) of the noise."""
-        return covariance_of("R", self.R, np.atleast_1d(np.asarray(self.R)).shape[0])
+        return covariance_of("R", self.R)
 
     @property
     def noise_std(self) -> np.ndarray:
@@ -114,8 +117,9 @@ class OwnPlant:
         require_description(n, self.time_step_s, self.state_names, self.state_units)
         require_angles(self.angles, n, "states")
         law = self.prior_mean, self.prior_cov
-        _ = self.noise_cov
+        _ = self.noise_cov, self.places
         require_lanes("f", self.f, self.prior_mean, n)
+        require_finite("f(x)", self.f, *law)
         require_one_value("f(x)", self.f, *law, self.angles, self.angles)
 
     @property
@@ -137,6 +141,18 @@ class OwnPlant:
     def noise_cov(self) -> np.ndarray:
         """Covariance (n, n) of the process noise."""
         return covariance_of("Q", self.Q, self.states)
+
+    @cached_property
+    def places(self) -> np.ndarray | None:
+        """Places (nodes, 2) of the nodes in m; None where the user named none."""
+        if self.positions is None:
+            return None
+        places = numbers_of("positions", self.positions)
+        if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
+            raise ValueError(
+                f"positions of shape {places.shape}: must be (nodes, 2), two finite numbers in m"
+            )
+        return places
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., n) one step later, without noise; angles less than half a turn away."""
@@ -219,10 +235,10 @@ class OwnTruth:
 
     def positions(self, step: int) -> np.ndarray | None:
         """Return the nodes' places (nodes, 2) in m; None where the user named none."""
-        if self.plant.positions is None:
+        places = self.plant.places
+        if places is None:
             return None
-        places = np.asarray(self.plant.positions, dtype=float)
-        if places.shape != (len(self.sensors), 2):
+        if len(places) != len(self.sensors):
             raise ValueError(
                 f"positions of shape {places.shape}: must be ({len(self.sensors)}, 2), a place for "
                 "each node"
@@ -237,12 +253,24 @@ def require_sensors(plant: OwnPlant, sensors: Sequence[OwnSensor | None]) -> Non
         ValueError: no sensor at all, an h of another shape or without leading axes, or one that
             jumps by a turn in an entry that is not in its `angles`.
     """
+    if not isinstance(sensors, Sequence) or isinstance(sensors, str):
+        raise ValueError(
+            f"sensors of type {type(sensors).__name__}: must be a list, such as "
+            "[OwnSensor(...), None]"
+        )
+    for place, sensor in enumerate(sensors):
+        if sensor is not None and not isinstance(sensor, OwnSensor):
+            raise ValueError(
+                f"sensors: entry {place} is of type {type(sensor).__name__}; it must be an "
+                "OwnSensor, or None for a blind node"
+            )
     if not any(sensor is not None for sensor in sensors):
         raise ValueError("sensors: none of the nodes has one; give at least one OwnSensor")
     for sensor in sensors:
         if sensor is not None:
             require_lanes("h", sensor.h, plant.prior_mean, sensor.entries)
             law = plant.prior_mean, plant.prior_cov
+            require_dependence("h(x)", sensor.h, *law, plant.angles)
             require_one_value("h(x)", sensor.h, *law, plant.angles, sensor.angles)
 
 

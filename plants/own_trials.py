@@ -11,6 +11,8 @@ from concord.plants.range_bearing import TURN, wrapped
 _TRIED = (3, 2)
 # Points of a state at which a function may jump; a jump between two of them is halved down.
 _GRID, _HALVINGS, _CLOSE = 600, 60, 1e-3
+# States drawn from the law of the first one.
+_DRAWS = 200
 # Distance from half a turn, in rad.
 _NEAR = 1e-6
 
@@ -20,9 +22,12 @@ Function = Callable[[np.ndarray], ArrayLike]
 
 def require_lanes(name: str, function: Function, mean: np.ndarray, entries: int) -> None:
     """Try a function on lanes of states, and on each of them alone."""
+    if not callable(function):
+        raise ValueError(f"{name} of type {type(function).__name__}: must be a function of states")
     lanes = mean + np.linspace(0, 0.1, 6).reshape(*_TRIED, 1)
     try:
-        together = np.asarray(function(lanes), dtype=float)
+        with np.errstate(all="ignore"):
+            together = np.asarray(function(lanes), dtype=float)
     except Exception as error:
         raise ValueError(
             f"{name}(x) with x of shape {lanes.shape} fails ({type(error).__name__}: {error}); "
@@ -35,7 +40,8 @@ def require_lanes(name: str, function: Function, mean: np.ndarray, entries: int)
             "and join results with np.stack((a, b), axis=-1)"
         )
     for lane in np.ndindex(*_TRIED):
-        alone = np.asarray(function(lanes[lane]), dtype=float)
+        with np.errstate(all="ignore"):
+            alone = np.asarray(function(lanes[lane]), dtype=float)
         if not np.allclose(alone, together[lane], equal_nan=True):
             raise ValueError(
                 f"{name}(x) of one state differs from {name}(x) of several at once: it mixes the "
@@ -54,7 +60,9 @@ def within_a_turn(values: np.ndarray, angles: tuple[int, ...]) -> np.ndarray:
 
 def require_angles(angles: tuple[int, ...], size: int, what: str) -> None:
     """Refuse angles that are no places of `size` states or entries, each given once."""
-    if len(set(angles)) < len(angles) or any(one not in range(size) for one in angles):
+    places = range(size)
+    is_tuple = isinstance(angles, tuple | list)
+    if not is_tuple or len({*angles}) < len(angles) or any(one not in places for one in angles):
         raise ValueError(f"angles {angles}: must be some of the {what} 0 to {size - 1}, each once")
 
 
@@ -148,3 +156,53 @@ def _require_same_after_a_turn(
             f"pi, and {values[2, entry]:.4g} just above -pi: angles has this state, so both must "
             "be alike; use the sine and cosine of it, or take it out of angles"
         )
+
+
+def require_finite(name: str, function: Function, mean: np.ndarray, cov: np.ndarray) -> None:
+    """Refuse a function that is not finite for states that the first one may be.
+
+    Raises:
+        ValueError: naming a state and the value there.
+    """
+    states = _drawn(mean, cov)
+    with np.errstate(all="ignore"):
+        values = np.asarray(function(states), dtype=float)
+    wrong = ~np.isfinite(values).all(axis=-1)
+    if wrong.any():
+        which = int(np.argmax(wrong))
+        raise ValueError(
+            f"{name} is {values[which].tolist()} where x is {np.round(states[which], 6).tolist()}, "
+            f"and so for {np.count_nonzero(wrong)} of {len(states)} states drawn from mean and "
+            "cov; let it be finite there, or lower cov"
+        )
+
+
+def require_dependence(
+    name: str, function: Function, mean: np.ndarray, cov: np.ndarray, angles: tuple[int, ...]
+) -> None:
+    """Refuse a sensor function that has one value for all states.
+
+    Raises:
+        ValueError: naming the value.
+    """
+    deviation = np.sqrt(np.diagonal(cov))
+    wide = [mean + reach * np.diag(deviation + 1e-3 * np.abs(mean)) for reach in (-30, 30)]
+    states = within_a_turn(np.concatenate((_drawn(mean, cov), *wide)), angles)
+    try:
+        with np.errstate(all="ignore"):
+            values = np.asarray(function(states), dtype=float)
+    # A function may refuse states that the plant never has.
+    except Exception:
+        return
+    if np.isfinite(values).all() and (values == values[0]).all():
+        raise ValueError(
+            f"{name} is {values[0].tolist()} for every state, so its readings say nothing of the "
+            "plant; let it depend on x, or give None for a blind node"
+        )
+
+
+def _drawn(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """States (K, n) drawn from a law, the same ones always."""
+    values, vectors = np.linalg.eigh(cov)
+    normals = np.random.default_rng(1).standard_normal((_DRAWS, len(mean)))
+    return mean + normals @ (vectors * np.sqrt(np.maximum(values, 0))).T

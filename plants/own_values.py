@@ -1,42 +1,63 @@
 """Values that describe a plant of the user's own: vectors, covariances, names."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+def numbers_of(name: str, given: Any) -> np.ndarray:
+    """Return an array of numbers, of a list, an array, a sparse matrix of scipy or a DataArray;
+    `name` is that of the argument in messages."""
+    dense = given.toarray() if hasattr(given, "toarray") else given
+    try:
+        return np.asarray(dense, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} of type {type(given).__name__}: it holds no real numbers, or rows of several "
+            "lengths; give a list or an array of numbers"
+        ) from None
 
 
 def require_description(
     states: int, time_step_s: float, names: Sequence[str], units: Sequence[str]
 ) -> None:
     """Refuse a time step of 0 or less, and names or units that are not those of all states."""
-    if not time_step_s > 0:
-        raise ValueError(f"time_step_s {time_step_s}: must be above 0")
+    if not (isinstance(time_step_s, int | float | np.number) and 0 < time_step_s < np.inf):
+        raise ValueError(f"time_step_s {time_step_s}: must be above 0, and finite")
     for field, given in (("state_names", names), ("state_units", units)):
+        if isinstance(given, str) or not isinstance(given, Sequence):
+            raise ValueError(f"{field} {given}: must be a tuple of texts, one for each state")
         if given and len(given) != states:
             raise ValueError(f"{field} {given}: must have {states} entries, one for each state")
 
 
 def vector_of(name: str, given: ArrayLike) -> np.ndarray:
     """Return a vector (n,) of finite numbers; `name` is that of the argument in messages."""
-    vector = np.atleast_1d(np.asarray(given, dtype=float))
-    if vector.ndim != 1 or not np.isfinite(vector).all():
+    vector = np.atleast_1d(numbers_of(name, given))
+    if vector.ndim != 1 or not len(vector) or not np.isfinite(vector).all():
         raise ValueError(f"{name} {given}: must be a vector of finite numbers")
     return vector
 
 
-def covariance_of(name: str, given: ArrayLike, size: int) -> np.ndarray:
-    """Return a covariance (size, size) of a matrix or its diagonal; `name` as in `vector_of`."""
-    matrix = np.asarray(given, dtype=float)
+def covariance_of(name: str, given: ArrayLike, size: int | None = None) -> np.ndarray:
+    """Return a covariance (size, size) of a matrix or its diagonal; `name` as in `vector_of`.
+
+    Without a size, any will do.
+    """
+    matrix = numbers_of(name, given)
     if matrix.ndim < 2:
         matrix = np.diag(np.atleast_1d(matrix))
+    size = len(matrix) if size is None else size
     if matrix.shape != (size, size):
         raise ValueError(
             f"{name} of shape {np.shape(given)}: must be {(size, size)}, or its diagonal {(size,)}"
         )
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+    largest = np.abs(matrix).max(initial=0.0)
+    if not np.isfinite(matrix).all() or np.abs(matrix - matrix.T).max() > 1e-8 * largest:
         raise ValueError(f"{name}: must be finite and symmetric")
-    if np.linalg.eigvalsh(matrix).min() < -1e-12 * max(1.0, np.abs(matrix).max()):
+    if np.linalg.eigvalsh(matrix).min() < -1e-12 * largest:
         raise ValueError(f"{name}: has a negative eigenvalue; a covariance has none")
     return matrix
 

@@ -183,7 +183,7 @@ def _site(where: str, given: str | ArrayLike, separator: str = ",") -> tuple[flo
     form = "x, y" if separator == "," else f"x{separator}y"
     try:
         x, y = (float(word) for word in words)
-    except ValueError:
+    except (TypeError, ValueError):
         x = y = math.nan
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(

@@ -58,6 +58,10 @@ def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:
     setup = setup_of_run(unborn, scenario.run)
     check_network(setup)
     _check_filter(setup)
+    # Only here: a process of the network rehearses nothing.
+    from concord.scenarios.rehearsal import check_readings
+
+    check_readings(setup)
     if tries_rule:
         _try_rule(setup)
     check_script(

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from concord.entries import entries, member
-from concord.scenarios.types.assignment import assigned, refuse_left
+from concord.scenarios.types.assignment import assigned, check_ranges, refuse_left
 from concord.scenarios.types.buses import FlexRay, SharedBus, UserBus
 from concord.scenarios.types.declarations import choice_of, every_option
 from concord.scenarios.types.filters import FilterBase, UnscentedFilter, UserFilter
@@ -99,10 +99,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         A choice is given by its name or as a value: `with_(rule="labelled", window_steps=8)`.
 
         Raises:
-            ValueError: an unknown option, one of a value that is not chosen, or a wrong type.
+            ValueError: an unknown option, one of a value that is not chosen, a wrong type, or a
+                number out of its range.
         """
         changed, left = self.with_known(**options)
         refuse_left(changed, left)
+        check_ranges(changed)
         return changed
 
     def with_known(self, **options: object) -> "tuple[Scenario, dict[str, object]]":
@@ -133,12 +135,15 @@ def in_words(options: dict[str, Any]) -> dict[str, Any]:
         name: value.item() if isinstance(value, np.generic) else value
         for name, value in options.items()
     }
+    if isinstance(plain.get("changes"), str):
+        plain = {**plain, "changes": (plain["changes"],)}
     # Only here: a process of the network is handed the neighbours of its nodes.
     graph, placement = plain.get("graph"), plain.get("placement")
     if graph is not None and not isinstance(graph, str):
-        from concord.topology.edge_text import edge_text
+        from concord.topology.edge_text import sized_edge_text
 
-        plain = {"nodes": len(graph), **plain, "graph": edge_text(graph)}
+        word, nodes = sized_edge_text(graph)
+        plain = {"nodes": nodes, **plain, "graph": word}
     if placement is not None and not _is_drawing_or_sites(placement):
         from concord.plants.placement import site_text
 

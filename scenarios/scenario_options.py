@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from concord.scenarios.catalogue import definition_named, definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.script import with_files
-from concord.scenarios.types.assignment import flat, refuse_left
+from concord.scenarios.types.assignment import check_ranges, flat, refuse_left
 from concord.scenarios.types.declarations import Declaration, Owned, every_option
 
 DEFAULT_SCENARIO = "target-tracking"
@@ -143,6 +143,7 @@ def scenario_of(scenario: str = DEFAULT_SCENARIO, **options: Any) -> Scenario:
     """
     found, left = scenario_with_known(scenario, **options)
     refuse_left(found, left)
+    check_ranges(found)
     return found
 
 

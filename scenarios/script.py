@@ -20,18 +20,21 @@ from concord.nodes.commands import (
 )
 from concord.nodes.faults.active import Equipment
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.option import require_kind
 
 _FILE = "file:"
 
 
-def with_files(changes: Sequence[str]) -> tuple[str, ...]:
+def with_files(changes: str | Sequence[str]) -> tuple[str, ...]:
     """The lines of a script, where `file:PATH` stands for those of a file: one change in each,
-    empty ones and what comes after `#` left out.
+    empty ones and what comes after `#` left out. A text alone is one change.
 
     Raises:
         ValueError: a file that cannot be read, or a line of one that is no change: which, and why.
     """
-    return tuple(line for change in changes for line in _expanded(change))
+    require_kind("changes", changes, (str, Sequence), "a text, or a list of texts")
+    several = [changes] if isinstance(changes, str) else changes
+    return tuple(line for change in several for line in _expanded(change))
 
 
 def _expanded(change: str) -> list[str]:

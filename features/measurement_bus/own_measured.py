@@ -24,6 +24,7 @@ from concord.scenarios.definitions.own import own_score, user_definition
 from concord.scenarios.scenario import BusChoice, Scenario
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.filters import FilterBase
+from concord.scenarios.types.option import require_kind
 from concord.scenarios.types.plants import SensorNetwork, UserPlant
 from concord.scenarios.user.values import kept_source
 
@@ -72,6 +73,7 @@ def on_a_measurement_bus(
     Raises:
         ValueError: sensors that do not fit the plant, or a scenario that cannot be.
     """
+    require_kind("sensors", sensors, Sequence, "a list of sensors")
     on_bus = _plant_on_bus(plant, sensors)
     count = on_bus.sensors
     if weights is not None:

@@ -70,7 +70,7 @@ class BoundedPlant:
     @cached_property
     def noise_shape(self) -> np.ndarray:
         """W (q, q)."""
-        return covariance_of("W", self.W, np.atleast_1d(np.asarray(self.W)).shape[0])
+        return covariance_of("W", self.W)
 
     def transition(self, step: int) -> np.ndarray:
         """A (n, n) of a step."""

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from typing import Any
 
 import msgspec
 
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.option import Choice
+from concord.scenarios.types.option import Choice, require_kind
 from concord.scenarios.types.plants import SensorNetwork, UserPlant
 from concord.scenarios.user.values import (
     FromFile,
@@ -24,7 +25,7 @@ def own_scenario(
     sensors: Sequence[OwnSensor | None],
     *,
     nodes: int | None = None,
-    graph: str = "ring",
+    graph: Any = "ring",
     steps: int = 200,
     scored_states: Sequence[int] = (0,),
     first_scored_step: int = 20,
@@ -36,7 +37,7 @@ def own_scenario(
         plant: truth, and the model of every filter.
         sensors: dealt to the nodes in turn; None is a blind node.
         nodes: number of nodes; one for each sensor when left out.
-        graph: who hears whom, as in `--graph`.
+        graph: who hears whom, as in `--graph`, or a graph of networkx or a matrix.
         steps: sampling instants.
         scored_states: states of the RMSE, all of one unit.
         first_scored_step: scored from here on, so that the start does not rule the figures.
@@ -45,6 +46,7 @@ def own_scenario(
     Raises:
         ValueError: a sensor that cannot read the plant's states, or states that it does not have.
     """
+    require_kind("plant", plant, OwnPlant, "an OwnPlant")
     require_sensors(plant, sensors)
     dealt = tuple(sensor and plant.seen_by(sensor) for sensor in sensors)
 
@@ -53,13 +55,15 @@ def own_scenario(
         return OwnTruth(plant, tuple(dealt[node % len(dealt)] for node in range(count)))
 
     score = own_score(truth(1).state_units, scored_states, first_scored_step)
-    network = SensorNetwork(nodes=len(dealt) if nodes is None else nodes, graph=graph)
+    asked = {"nodes": nodes, "graph": graph, "steps": steps}
+    given = {name: value for name, value in asked.items() if value is not None}
+    network = SensorNetwork(nodes=len(dealt), graph="ring")
 
     def check(scenario: Scenario) -> None:
         truth(scenario.nodes).positions(0)
 
     definition = ScenarioDefinition(
-        defaults=Scenario(plant=UserPlant(), network=network, steps=steps),
+        defaults=Scenario(plant=UserPlant(), network=network, steps=200).with_(**given),
         check=check,
         plant=lambda scenario: truth(scenario.nodes),
         model=lambda _: plant,
@@ -78,7 +82,9 @@ def own_score(state_units: Sequence[str], scored_states: Sequence[int], first_st
         ValueError: no state, one that the plant does not have, or states of different units.
     """
     n = len(state_units)
-    if not scored_states or any(not 0 <= state < n for state in scored_states):
+    require_kind("scored_states", scored_states, Sequence, "a tuple of numbers of states")
+    require_kind("first_scored_step", first_step, int, "a whole number")
+    if not scored_states or any(state not in range(n) for state in scored_states):
         raise ValueError(f"scored_states {tuple(scored_states)}: must be some of 0 to {n - 1}")
     units = {state_units[state] for state in scored_states}
     if len(units) > 1:

@@ -19,7 +19,8 @@ class FilterEntry(NamedTuple):
     Attributes:
         build: (its value in the scenario, the scenario's sigma points) -> the filter.
         linear: serves only plants and sensors that are linear.
-        singular: takes covariances without an inverse.
+        singular: takes beliefs whose covariance has no inverse.
+        square_root: takes readings however small their noise, in square-root form.
         robust: departs from the Kalman filter on linear models, on purpose.
         models: number of models of a belief.
     """
@@ -27,6 +28,7 @@ class FilterEntry(NamedTuple):
     build: Callable[[Any, SigmaPointRule], Filter]
     linear: bool = False
     singular: bool = False
+    square_root: bool = False
     robust: bool = False
     models: int = 1
 
@@ -48,10 +50,10 @@ def _cubature(points: SigmaPointRule) -> SigmaPointRule:
     return cubature(points.unit_points.shape[1])
 
 
-UKF = FilterEntry(lambda _, points: SigmaPointFilter(points))
-CKF = FilterEntry(lambda _, points: SigmaPointFilter(_cubature(points)))
-SRUKF = FilterEntry(lambda _, points: SquareRootFilter(points))
-SRCKF = FilterEntry(lambda _, points: SquareRootFilter(_cubature(points)))
+UKF = FilterEntry(lambda _, points: SigmaPointFilter(points), square_root=True)
+CKF = FilterEntry(lambda _, points: SigmaPointFilter(_cubature(points)), square_root=True)
+SRUKF = FilterEntry(lambda _, points: SquareRootFilter(points), square_root=True)
+SRCKF = FilterEntry(lambda _, points: SquareRootFilter(_cubature(points)), square_root=True)
 EKF = FilterEntry(lambda _, points: ExtendedFilter(), singular=True)
 KF = FilterEntry(lambda _, points: ExtendedFilter(_EXACT_STEP), linear=True, singular=True)
 IPLF = FilterEntry(

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -101,6 +101,18 @@ class Option(NamedTuple):
         opening = f"[{self.at_least:g}" if self.above is None else f"({self.above:g}"
         closing = f"{self.at_most:g}]" if self.below is None else f"{self.below:g})"
         return f"{even}in {opening}, {closing}"
+
+
+def require_kind(name: str, value: object, kinds: Any, must: str) -> None:
+    """Refuse an argument of a wrong type, in words.
+
+    Raises:
+        ValueError: naming the argument, its value and what it must be.
+    """
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        shown = " ".join(repr(value).split())
+        shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
+        raise ValueError(f"{name} {shown} of type {type(value).__name__}: must be {must}")
 
 
 _FLAG = re.compile(r"--([a-z][a-z0-9-]*)")

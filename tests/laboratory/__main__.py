@@ -17,6 +17,7 @@ PARTS = {
     "mutants": ("mutants", "mutants"),
     "security": ("security", "security"),
     "bugs": ("bugs", "bugs"),
+    "plants": ("own_plants", "plants"),
 }
 
 

@@ -1,5 +1,7 @@
 """The option `--filter`: what it refuses before the start, and what the baselines make of it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -22,24 +24,54 @@ from concord.scenarios.warnings import warnings_of
 from concord.studies.monte_carlo.simulate import simulate
 
 
-def known(cov: float = 1.0, R: float = 1.0) -> Scenario:
-    """Two states, the first of which may be known at the start or read exactly."""
-    plant = OwnPlant(f=lambda x: 0.9 * x, Q=[0.1, 0.1], mean=[0, 0], cov=[cov, 1.0])
-    return own_scenario(plant, [OwnSensor(h=lambda x: x[..., :1], R=R)], nodes=3, steps=30)
+def known(
+    cov: float = 1.0, R: Any = 1.0, Q: float = 0.1, mean: float = 0.0, nodes: int = 3
+) -> Scenario:
+    """Two states, the first of which may be known at the start or read sharply."""
+    plant = OwnPlant(f=lambda x: 0.9 * x, Q=[Q, 0.1], mean=[mean, 0], cov=[cov, 1.0])
+    entries = [0, 1] if np.ndim(R) else [0]
+    return own_scenario(plant, [OwnSensor(h=lambda x: x[..., entries], R=R)], nodes=nodes, steps=30)
 
 
-@pytest.mark.parametrize("name", [name for name in summaries("FILTERS") if name != "imm"])
-def test_a_singular_prior_or_noise_runs_or_is_refused(name: str):
-    for options, says in (({"cov": 0.0}, "prior is singular"), ({"R": 0.0}, "R of a sensor is")):
-        asked = known(**options).with_(filter=name, rule="local")
-        if name in ("ekf", "kf", "iekf"):
-            trace = read_trace(prepare(asked), in_memory(prepare(asked)))
-            assert np.isfinite(trace.mean).all()
-            names = {word for counters in trace.counters for word in counters}
-            assert not names & {"predict-failed", "update-failed"}
-        else:
-            with pytest.raises(ValueError, match=f"{says}.*--filter ekf"):
+FILTERS = [name for name in summaries("FILTERS") if name != "imm"]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_singular_prior_runs_or_is_refused(name: str):
+    asked = known(cov=0.0).with_(filter=name, rule="local")
+    if name in ("ekf", "kf", "iekf"):
+        trace = read_trace(prepare(asked), in_memory(prepare(asked)))
+        assert np.isfinite(trace.mean).all()
+        names = {word for counters in trace.counters for word in counters}
+        assert not names & {"predict-failed", "update-failed"}
+        with pytest.raises(ValueError, match="Q never changes that"):
+            prepare(known(cov=0.0, Q=0.0).with_(filter=name))
+    else:
+        with pytest.raises(ValueError, match=r"prior is singular.*--filter ekf"):
+            prepare(asked)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_noise_that_is_singular_or_lost_in_the_digits_is_refused(name: str):
+    for R in (0.0, [[1.0, 1.0], [1.0, 1.0]]):
+        with pytest.raises(ValueError, match="R of a sensor is singular"):
+            prepare(known(R=R).with_(filter=name))
+    with pytest.raises(ValueError, match="lost in the last digits of readings near 5e"):
+        prepare(known(R=1e-20, mean=5e6).with_(filter=name))
+
+
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "icf", "sharp-ci"])
+@pytest.mark.parametrize("name", ["ukf", "srckf", "ekf", "iplf"])
+def test_the_advice_for_a_sharp_sensor_works(name: str, rule: str):
+    """Where a filter refuses a sharp reading, the one that it names is consistent with it."""
+    for R in (1e-12, 1e-18, 1e-26):
+        asked = known(R=R, nodes=4).with_(filter=name, rule=rule)
+        if name in ("ekf", "iplf") and R < 1e-14:
+            with pytest.raises(ValueError, match="use --filter ukf"):
                 prepare(asked)
+            continue
+        found = simulate(prepare(asked), range(10))
+        assert np.isfinite(found.nees).all() and 0.3 < found.nees[:, 10:].mean() / 2 < 1.5
 
 
 @pytest.mark.parametrize("name", ["target-tracking", "target-crossing", "vehicle-network"])
