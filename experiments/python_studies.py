@@ -173,7 +173,7 @@ def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
 
         return design_figures(result)
     if "specification" not in result.attrs:
-        raise ValueError(f"plots of a data set of {sorted(result.sizes)}: must be {must}")
+        raise ValueError(f"plots of a data set of {sorted(map(str, result.sizes))}: must be {must}")
     from concord.studies.sweep.plots import sweep_figures
 
     return sweep_figures(result)

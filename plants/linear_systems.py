@@ -80,12 +80,13 @@ def _step_s(system: Any, asked_s: float | None) -> float:
     is_timed = not isinstance(own, bool) and not _is_continuous(system)
     if asked_s is None and not is_timed:
         raise ValueError("the system has no sampling time; give time_step_s")
+    sampled_s = float(own or 0) if is_timed else 0.0
     if asked_s is not None:
         is_time = isinstance(asked_s, int | float | np.number) and not isinstance(asked_s, bool)
         if not (is_time and 0 < asked_s < np.inf):
             raise ValueError(f"time_step_s {asked_s}: must be a finite number above 0")
-        if is_timed and not np.isclose(asked_s, own, rtol=1e-9, atol=0):
+        if is_timed and not np.isclose(asked_s, sampled_s, rtol=1e-9, atol=0):
             raise ValueError(
-                f"time_step_s {asked_s}: the system is sampled at {own} s; leave it out"
+                f"time_step_s {asked_s}: the system is sampled at {sampled_s} s; leave it out"
             )
-    return float((own if is_timed else asked_s) or 0)
+    return sampled_s or float(asked_s or 0)

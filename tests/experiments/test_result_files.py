@@ -48,8 +48,8 @@ def test_a_csv_has_a_row_of_values_for_each_cell(swept: Path):
     for row, cell in zip(rows, figures.cells, strict=True):
         assert row["unit"] == "m"
         low, high = row["anees_low"], row["anees_high"]
-        assert (float(row["anees"]), float(low), float(high)) == tuple(cell.anees)
-        assert np.isnan(cell.settling_steps.low) == (row["settling_steps_low"] == "")
+        assert (float(row["anees"]), float(low), float(high)) == tuple(cell["anees"])
+        assert np.isnan(cell["settling_steps"].low) == (row["settling_steps_low"] == "")
 
 
 def test_a_sweep_has_a_latex_table_with_its_intervals(
@@ -65,7 +65,7 @@ def test_a_sweep_has_a_latex_table_with_its_intervals(
     ]  # fmt: skip
     assert lines[-2:] == [r"\bottomrule", r"\end{tabular}"]
     first = summary_of(read_result(swept / "s.nc")).cells[0]
-    rmse = f"{first.rmse.value:.4g} {first.rmse.spread()}".replace("±", r"$\pm$")
+    rmse = f"{first['rmse'].value:.4g} {first['rmse'].spread()}".replace("±", r"$\pm$")
     assert lines[4].startswith(rf"ring & 1 & {rmse} & ")
     assert r"\usepackage{booktabs}" in out.read_text()
     told = refused(concord(capsys, *asked[:-1], "rms"))
@@ -86,7 +86,7 @@ def test_pictures_get_the_width_of_a_column_and_no_title(
 
 def test_the_front_has_the_interval_of_each_cell(swept: Path):
     figure = figures_of(swept / "s.nc")["pareto"]
-    intervals = [cell.to_centralised for cell in summary_of(read_result(swept / "s.nc")).cells]
+    intervals = [cell["to_centralised"] for cell in summary_of(read_result(swept / "s.nc")).cells]
     bars = [one for one in figure.axes[0].collections if isinstance(one, LineCollection)]
     drawn = [np.asarray(bar.get_segments()[0])[:, 1] for bar in bars]
     plt.close("all")

@@ -178,7 +178,7 @@ def test_cells_of_any_size_stand_side_by_side():
     small = data.sel(nodes=3, steps=5)
     assert np.isnan(small["rmse_node"][:, 3]).all() and np.isnan(small["error"][:, 5:]).all()
     assert not np.isnan(data["rmse"]).any()
-    assert all(np.isfinite(cell.rmse.value) for cell in figures_of(data).cells)
+    assert all(np.isfinite(cell["rmse"].value) for cell in figures_of(data).cells)
 
 
 def test_one_cell_is_a_sweep_too():
@@ -207,10 +207,10 @@ def test_the_command_prints_figures_for_machines(result: Path, capsys: pytest.Ca
 
 def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Path):
     cells = figures_of(read_result(result)).cells
-    ratios = [cell.to_best.value for cell in cells]
+    ratios = [cell["to_best"].value for cell in cells]
     assert min(ratios) == 1 and max(ratios) > 1
     best = cells[ratios.index(1)]
-    assert best.rmse.value == min(cell.rmse.value for cell in cells)
+    assert best["rmse"].value == min(cell["rmse"].value for cell in cells)
 
 
 @pytest.mark.slow

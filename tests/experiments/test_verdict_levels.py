@@ -47,7 +47,8 @@ def plant(f: Callable[[np.ndarray], np.ndarray] = move, **changes: Any) -> cc.Ow
 
 
 def sensor(h: Callable[[np.ndarray], np.ndarray] = position, **changes: Any) -> cc.OwnSensor:
-    return cc.OwnSensor(h=h, **({"R": 0.25} | changes))
+    known: dict[str, Any] = {"R": 0.25} | changes
+    return cc.OwnSensor(h=h, **known)
 
 
 def own(*sensors: cc.OwnSensor, of: cc.OwnPlant | None = None, **options: Any) -> Scenario:
