@@ -66,7 +66,12 @@ def test_other_channels_are_counted():
 @pytest.mark.parametrize(
     ("nis", "anees", "level", "words"),
     [
-        (FITTING, FITTING, "WORKS", "consistent: models and sensors fit the readings (NIS 1, ANE"),
+        (
+            FITTING,
+            FITTING,
+            "WORKS",
+            "consistent: models and sensors fit the readings (NIS 1, ANEES 1",
+        ),
         (FITTING, UNKNOWN, "WORKS", "consistent: models and sensors fit the readings (NIS 1 where"),
         (FITTING, Interval(0.64, 0.4, 0.9), "WORKS", "claim errors 1.25 x those they make (AN"),
         (FITTING, Interval(2.0, 1.5, 2.5), "CHECK", "but rule ci claims too much (ANEES 2 where"),
