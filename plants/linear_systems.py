@@ -70,23 +70,22 @@ def _step_s(system: Any, asked_s: float | None) -> float:
     Raises:
         ValueError: neither does, both differ, or the system may be continuous or not.
     """
-    own = system.dt
+    own: Any = system.dt
     if own is None and not _is_continuous(system):
         raise ValueError(
             "system with dt None: it may be continuous or sampled; give it dt 0 for continuous, or "
             "its sampling time"
         )
     # True says sampled, at a time unknown; it equals 1.
-    is_timed = not isinstance(own, bool) and not _is_continuous(system)
-    if asked_s is None and not is_timed:
-        raise ValueError("the system has no sampling time; give time_step_s")
-    sampled_s = float(own or 0) if is_timed else 0.0
-    if asked_s is not None:
-        is_time = isinstance(asked_s, int | float | np.number) and not isinstance(asked_s, bool)
-        if not (is_time and 0 < asked_s < np.inf):
-            raise ValueError(f"time_step_s {asked_s}: must be a finite number above 0")
-        if is_timed and not np.isclose(asked_s, sampled_s, rtol=1e-9, atol=0):
-            raise ValueError(
-                f"time_step_s {asked_s}: the system is sampled at {sampled_s} s; leave it out"
-            )
-    return sampled_s or float(asked_s or 0)
+    is_open = own is None or isinstance(own, bool) or _is_continuous(system)
+    own_s = None if is_open else float(system.dt)
+    if asked_s is None:
+        if own_s is None:
+            raise ValueError("the system has no sampling time; give time_step_s")
+        return own_s
+    is_time = isinstance(asked_s, int | float | np.number) and not isinstance(asked_s, bool)
+    if not (is_time and 0 < asked_s < np.inf):
+        raise ValueError(f"time_step_s {asked_s}: must be a finite number above 0")
+    if own_s is not None and not np.isclose(asked_s, own_s, rtol=1e-9, atol=0):
+        raise ValueError(f"time_step_s {asked_s}: the system is sampled at {own_s} s; leave it out")
+    return float(asked_s) if own_s is None else own_s

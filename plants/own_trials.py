@@ -185,8 +185,10 @@ def require_dependence(
     Raises:
         ValueError: naming the value.
     """
-    deviation = np.sqrt(np.diagonal(cov))
-    wide = [mean + reach * np.diag(deviation + 1e-3 * np.abs(mean)) for reach in (-30, 30)]
+    reach = 30 * (np.sqrt(np.diagonal(cov)) + 1e-3 * np.abs(mean))
+    # A state known to be 0 has no scale of its own.
+    reach = np.where(reach > 0, reach, 1.0)
+    wide = [mean + sign * np.diag(reach) for sign in (-1, 1)]
     states = within_a_turn(np.concatenate((_drawn(mean, cov), *wide)), angles)
     try:
         with np.errstate(all="ignore"):

@@ -48,7 +48,7 @@ class DrawnPlant(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What became of a plant under a rule: a kind, and the figures or the reason behind it."""
+    """The outcome of a plant under a rule: a kind, and the figures or the reason behind it."""
 
     kind: str
     why: str = ""

@@ -50,6 +50,8 @@ def test_a_sensor_of_one_value_is_refused():
     with pytest.raises(ValueError, match=r"h\(x\) is \[3.0\] for every state"):
         network(lambda x: np.full_like(x, 3.0))
     network(lambda x: np.where(x > 0, 1.0, 0.0))
+    known = cc.OwnPlant(f=drift, Q=[1e-4], mean=[0.0], cov=[0.0])
+    cc.own_scenario(known, [cc.OwnSensor(h=lambda x: x, R=0.1)])
 
 
 def test_a_plant_that_is_not_finite_near_its_beginning_is_refused():
