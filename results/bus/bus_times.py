@@ -42,6 +42,7 @@ def shares_of(runs: Runs) -> SentShares:
 
 
 def has_times(bus: Bus, runs: Runs) -> bool:
+    """Whether the bus has time, and is the same in the whole of one run."""
     changed = any(change.anew for change in changes_of(runs.setup))
     return bus.has_time and not changed and (runs.history is None or runs.history.one_bus)
 
@@ -74,6 +75,7 @@ def wire_per_step(bus: Bus, sent: SentShares) -> tuple[float, float]:
 
 
 def on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
+    """Bytes of frames with headers and padding, and microseconds, per step."""
     overhead_bytes = bus.frame_format.overhead_bytes
     wire_bytes = sum(frame.payload_bytes + overhead_bytes for frame in frames)
     return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps

@@ -18,7 +18,7 @@ _UNUSABLE = ("not-positive-definite", "not-finite", "measurement-infinite")
 def failures(view: RunView, refused: GateRefusals | None) -> Iterator[Finding]:
     """Yield what failed in runs, first the cause that makes all others meaningless."""
     yield from _truth(view)
-    # What a rule spoils, the filters cannot use.
+    # The filters cannot use beliefs that a rule has spoilt.
     yield from _fusions(view)
     yield from _filters(view)
     yield from _readings(view)

@@ -314,7 +314,7 @@ def test_a_node_that_is_out_leaves_gaps_between_the_steps_too():
 def test_a_capture_of_all_cycles_has_a_limit(capsys):
     said = concord(
         capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--steps", 100_000,
-        "--capture", "all",
+        "--schedule", "full", "--capture", "all",
     )  # fmt: skip
     assert "--capture all" in refused(said) and "--steps" in said.err
 
