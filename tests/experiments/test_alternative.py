@@ -29,9 +29,7 @@ def traced(name: str = "target-tracking", **options: Any) -> tuple[Runs, Summary
 @pytest.mark.parametrize(
     "options",
     [
-        {},
         {"schedule": "dynamic", "occupancy": 0.4},
-        {"rule": "icf"},
         {"number": "float16", "schedule": "dynamic", "occupancy": 0.4},
         {"bus": "ideal"},
     ],

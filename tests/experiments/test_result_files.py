@@ -60,13 +60,13 @@ def test_a_sweep_has_a_latex_table_with_its_intervals(
     assert concord(capsys, *asked).code == 0
     lines = [line for line in out.read_text().splitlines() if not line.startswith("%")]
     assert lines[:4] == [
-        r"\begin{tabular}{llrrr}", r"\toprule",
-        r"graph & occupancy & rmse [m] & anees & bytes per step \\", r"\midrule",
+        r"\begin{tabular}{lllrrr}", r"\toprule",
+        r"graph & occupancy & level & rmse [m] & anees & bytes per step \\", r"\midrule",
     ]  # fmt: skip
     assert lines[-2:] == [r"\bottomrule", r"\end{tabular}"]
     first = summary_of(read_result(swept / "s.nc")).cells[0]
     rmse = f"{first['rmse'].value:.4g} {first['rmse'].spread()}".replace("±", r"$\pm$")
-    assert lines[4].startswith(rf"ring & 1 & {rmse} & ")
+    assert lines[4].startswith(rf"ring & 1 & {first.level} & {rmse} & ")
     assert r"\usepackage{booktabs}" in out.read_text()
     told = refused(concord(capsys, *asked[:-1], "rms"))
     assert "unknown figure of --columns 'rms': did you mean 'rmse'?" in told
