@@ -35,9 +35,9 @@ def near_sharpest(
     `inverse_volumes` (..., J) say, the mean of the sharpest. A sum of differences to a mean that is
     far off loses what the sharp ones know.
     """
-    least, most = (
-        reduce(inverse_volumes, axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce)
-    )
+    least = np.fmin.reduce(inverse_volumes, axis=None, initial=np.inf)
+    most = np.fmax.reduce(inverse_volumes, axis=None, initial=-np.inf)
+    # No lanes at all have no extremes either.
     if not most > _ALIKE * least:
         return means[..., 0, :]
     volumes = np.where((weights > 0) & ~np.isnan(inverse_volumes), inverse_volumes, 0.0)
