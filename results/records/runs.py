@@ -1,19 +1,31 @@
 """The record of runs: what one run, or many of one setup, came to, as arrays."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.history import History
 from concord.results.records.extras import RunExtra
-from concord.results.records.record_spread import RecordSpread
-from concord.results.records.trace import Past, Trace
 from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, innovations_of_nodes
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
+
+if TYPE_CHECKING:
+    from concord.results.records.record_spread import RecordSpread
+    from concord.results.records.trace import Trace
+
+
+class Past(NamedTuple):
+    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
+
+    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
 
 
 class RunCost(NamedTuple):
@@ -82,7 +94,7 @@ class Runs(NamedTuple):
     innovations: Innovations | None = None
     past: Past | None = None
     suspect: np.ndarray | None = None
-    spreads: tuple[RecordSpread, ...] = ()
+    spreads: "tuple[RecordSpread, ...]" = ()
     extras: tuple[RunExtra, ...] = ()
     cut: np.ndarray | None = None
     estimate_age_s: np.ndarray | None = None
@@ -154,7 +166,7 @@ def joined(parts: Sequence[Runs]) -> Runs:
     )
 
 
-def runs_of_trace(setup: Setup, trace: Trace, with_innovations: bool = True) -> Runs:
+def runs_of_trace(setup: Setup, trace: "Trace", with_innovations: bool = True) -> Runs:
     """Return the record of one run from what its messages say."""
     drawn = {epoch.drawn_by for epoch in trace.history.epochs}
     graphs = [with_settings(setup, dict(one)).neighbours for one in drawn]
@@ -188,7 +200,7 @@ def runs_of_trace(setup: Setup, trace: Trace, with_innovations: bool = True) -> 
     )
 
 
-def _arrays(trace: Trace) -> dict[str, np.ndarray | None]:
+def _arrays(trace: "Trace") -> dict[str, np.ndarray | None]:
     """The arrays that the record has with the same axes, and one more before them."""
     names = (
         "truth", "control", "mean", "payload_bytes", "asked", "classes", "readings", "cov",

@@ -13,22 +13,13 @@ from concord.results.bus.bus_record import BusRecord
 from concord.results.bus.sent_shares import SentShares
 from concord.results.records.extras import RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
+from concord.results.records.runs import Past
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import beside_truth
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
-
-
-class Past(NamedTuple):
-    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
-
-    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
-    """
-
-    mean: np.ndarray
-    std: np.ndarray
 
 
 class Trace(NamedTuple):

@@ -9,17 +9,14 @@ without an array form run message by message, one run after the other, and give 
 
 import ctypes
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import ReportedTracks
 from concord.results.records.extras import RunExtra, RunExtras, run_extras
-from concord.results.records.record_spread import RecordSpread
-from concord.results.records.runs import Runs, joined, runs_of_trace
-from concord.results.records.spread_history import SpreadHistory
-from concord.results.records.trace import Past, read_trace
+from concord.results.records.runs import Past, Runs, joined, runs_of_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
 from concord.runtime.drivers import in_memory
@@ -30,6 +27,10 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
 from concord.scenarios.user.faults import user_faults
+
+if TYPE_CHECKING:
+    from concord.results.records.record_spread import RecordSpread
+    from concord.results.records.spread_history import SpreadHistory
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of mallopt(3)
 _KEPT_BYTES = 100_000_000
@@ -218,7 +219,7 @@ class _Part(NamedTuple):
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
     prior_mean: np.ndarray
-    spreads: Callable[[], Sequence[RecordSpread]]
+    spreads: "Callable[[], Sequence[RecordSpread]]"
     extras: Callable[[], Sequence[RunExtra]]
 
 
@@ -238,6 +239,9 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
             if told is not None:
                 told.add(instant)
             elif instant.spread is not None and not setup.scenario.changes:
+                # Only here: other rules have no records.
+                from concord.results.records.spread_history import SpreadHistory
+
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
             yield _recorded(setup, instant, most_rounds)
@@ -318,6 +322,9 @@ def _by_messages(
     setup: Setup, runs: Sequence[int], keep: frozenset[str], on_progress: Callable[[int], None]
 ) -> Iterator[Runs]:
     """The runs one after the other, message by message."""
+    # Only here: runs as arrays pass no messages.
+    from concord.results.records.trace import read_trace
+
     for done, run_number in enumerate(runs, 1):
         own = setup_of_run(setup, run_number)
         found = runs_of_trace(own, read_trace(own, in_memory(own)), INNOVATIONS in keep)
