@@ -13,8 +13,8 @@ from concord.results.folder import Description, read_description
 from concord.results.innovations.plots import innovation_figure
 from concord.results.network_map import Mapped, network_maps
 from concord.results.palette import COLOURS, GREY
+from concord.results.records.extras import Past
 from concord.results.records.netcdf_file import ARRAYS, read_dataset
-from concord.results.records.runs import Past
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import beside_truth, definition_of
 from concord.scenarios.rule_table.rules import is_set_valued

@@ -6,7 +6,7 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import rmse
-from concord.results.records.runs import Past
+from concord.results.records.extras import Past
 from concord.scenarios.baselines import centralised_past
 from concord.scenarios.catalogue import beside_truth, definition_of
 from concord.scenarios.setup import Setup

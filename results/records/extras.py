@@ -18,6 +18,16 @@ Told = Mapping[tuple[int, int], ReportedTracks | None]
 """The tracks that nodes tell, by (step, node)."""
 
 
+class Past(NamedTuple):
+    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
+
+    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+
 class RunExtra(Protocol):
     """Messages of one run beside beliefs, as the scenario reads them."""
 

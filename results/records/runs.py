@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.history import History
-from concord.results.records.extras import RunExtra
+from concord.results.records.extras import Past, RunExtra
 from concord.scenarios.catalogue import scored_nees
 from concord.scenarios.innovations import Innovations, innovations_of_nodes
 from concord.scenarios.preparation import with_settings
@@ -16,16 +16,6 @@ from concord.scenarios.setup import Setup
 if TYPE_CHECKING:
     from concord.results.records.record_spread import RecordSpread
     from concord.results.records.trace import Trace
-
-
-class Past(NamedTuple):
-    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
-
-    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
-    """
-
-    mean: np.ndarray
-    std: np.ndarray
 
 
 class RunCost(NamedTuple):

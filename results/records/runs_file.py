@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 
 from concord.results.bus.bus_times import times_of
-from concord.results.records.extras import run_extras
+from concord.results.records.extras import Past, run_extras
 from concord.results.records.netcdf_file import read_dataset, state_coordinates
-from concord.results.records.runs import Past, RunCost, Runs
+from concord.results.records.runs import RunCost, Runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import HearsAll, Innovations
 from concord.scenarios.preparation import prepare

@@ -11,9 +11,8 @@ from concord.nodes.history import History, history_of, with_holes, without_lost_
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.results.bus.bus_record import BusRecord
 from concord.results.bus.sent_shares import SentShares
-from concord.results.records.extras import RunExtra, run_extras
+from concord.results.records.extras import Past, RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
-from concord.results.records.runs import Past
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import beside_truth

@@ -15,8 +15,8 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import ReportedTracks
-from concord.results.records.extras import RunExtra, RunExtras, run_extras
-from concord.results.records.runs import Past, Runs, joined, runs_of_trace
+from concord.results.records.extras import Past, RunExtra, RunExtras, run_extras
+from concord.results.records.runs import Runs, joined, runs_of_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
 from concord.runtime.drivers import in_memory
