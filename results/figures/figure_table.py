@@ -111,27 +111,13 @@ def _of_features() -> dict[str, Figure]:
 
 
 def _sets(measure: str, axes: tuple[int, ...], central: bool = False) -> Compute:
-    """A measure of ellipsoids e' P^-1 e <= 1 against the truth; NaN where estimates are none."""
+    """A measure of `SetsBesideTruth` over axes; NaN where estimates are no sets."""
 
     def compute(view: "RunView") -> np.ndarray:
         if view.sets is None:
             nodes = () if len(axes) == 2 or central else (view.setup.scenario.nodes,)
             return np.full((len(view.readings), *nodes), np.nan)
-        found = view.sets[central]
-        # Not "above 1": what cannot be computed is no proof.
-        outside = found.known & ~(found.values <= 1.0)
-        if measure == "outside":
-            return outside.sum(axis=axes)
-        if measure == "known":
-            return found.known.sum(axis=axes)
-        if measure == "largest":
-            values = np.where(found.known, found.values, np.nan)
-            return largest_of_known(
-                np.moveaxis(values, axes, range(-len(axes), 0)).reshape(
-                    *np.delete(values.shape, axes), -1
-                )
-            )
-        return mean_of_known(found.half_widths, axes)
+        return getattr(view.sets[central], measure)(axes)
 
     return compute
 
@@ -188,7 +174,7 @@ FIGURES: dict[str, Figure] = {
         lambda view: view.mean(_within(view), (1, 2)),
     ),
     "sets": Figure(
-        _RUN, "1", "number of sets beside a known truth", _sets("known", (1, 2)), is_swept=False
+        _RUN, "1", "number of sets beside a known truth", _sets("number", (1, 2)), is_swept=False
     ),
     "sets_outside": Figure(
         _RUN, "1", "number of sets that do not hold the truth", _sets("outside", (1, 2))
@@ -199,7 +185,7 @@ FIGURES: dict[str, Figure] = {
     ),
     "set_half_width_centralised": Figure(
         _RUN, "state", "half-width of the sets of one filter that hears everything",
-        _sets("half-width", (1,), central=True), is_swept=False,
+        _sets("half_width", (1,), central=True), is_swept=False,
     ),
     "set_largest_centralised": Figure(
         _RUN, "1", "largest e' P^-1 e of these sets", _sets("largest", (1,), central=True),
@@ -209,7 +195,7 @@ FIGURES: dict[str, Figure] = {
         _RUN, "1", "largest e' P^-1 e of a set; 1 is its edge", _sets("largest", (1, 2))
     ),
     "set_half_width": Figure(
-        _RUN, "state", "mean of the half-width sqrt(tr P) of a set", _sets("half-width", (1, 2))
+        _RUN, "state", "mean of the half-width sqrt(tr P) of a set", _sets("half_width", (1, 2))
     ),
     "failed": Figure(
         _RUN, "1", "1 for a run that failed: filters, fusions, truth, or no readings",
@@ -283,7 +269,7 @@ FIGURES: dict[str, Figure] = {
         _NODE, "1", "largest e' P^-1 e of each node", _sets("largest", (1,)), is_swept=False
     ),
     "set_half_width_node": Figure(
-        _NODE, "state", "mean half-width of each node's sets", _sets("half-width", (1,)),
+        _NODE, "state", "mean half-width of each node's sets", _sets("half_width", (1,)),
         is_swept=False,
     ),
     **{

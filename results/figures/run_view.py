@@ -132,14 +132,30 @@ class RunView:
         return sum((n for key, n in self.runs.counters.items() if key.startswith(name)), none)
 
     @cached_property
+    def finite_steps(self) -> np.ndarray:
+        """After how many steps (R,) the truth of a simulated run is not finite, to its end.
+
+        All steps where it stays finite. A log knows its truth at some steps alone, and targets
+        come and go.
+        """
+        steps = self.runs.steps
+        whole = np.full(len(self.readings), steps)
+        if definition_of(self.setup.scenario).all_steps is not None or self.runs.extras:
+            return whole
+        truth = self.runs.truth[..., list(self.score.states)]
+        finite = np.asarray(np.isfinite(truth).all(axis=-1))
+        last = steps - np.argmax(finite[:, ::-1], axis=1)
+        return np.where(finite.any(axis=1), last, whole)
+
+    @cached_property
     def failed(self) -> np.ndarray:
         """Which runs (R,) have no meaning: a filter or fusion failed, the truth is not finite, or
         no node had a reading in any step that counts."""
         names = ("predict-failed", "update-failed", "fuse-failed")
         failures = sum(self.counts(name).sum(axis=1) for name in names)
-        infinite = np.isinf(self.runs.truth).any(axis=(1, 2))
+        lost = self.finite_steps < self.runs.steps
         unread = self.blind.all(axis=2) | ~self.counted
-        return np.asarray((failures > 0) | infinite | unread.all(axis=1))
+        return np.asarray((failures > 0) | lost | unread.all(axis=1))
 
     def variances(self, cov: np.ndarray, states: Sequence[int] | None = None) -> np.ndarray:
         """Return the variances (..., m) of covariances (..., n, n), in some states or all."""
@@ -170,6 +186,24 @@ class SetsBesideTruth(NamedTuple):
     values: np.ndarray
     known: np.ndarray
     half_widths: np.ndarray
+
+    def number(self, axes: tuple[int, ...]) -> np.ndarray:
+        """Return how many sets there are over axes."""
+        return self.known.sum(axis=axes)
+
+    def outside(self, axes: tuple[int, ...]) -> np.ndarray:
+        """Return how many sets do not hold the truth; one that cannot be computed is no proof."""
+        return (self.known & ~(self.values <= 1.0)).sum(axis=axes)
+
+    def largest(self, axes: tuple[int, ...]) -> np.ndarray:
+        """Return the largest value over axes; NaN where none is known."""
+        known = self.known & ~np.isnan(self.values)
+        found = np.where(known, self.values, -np.inf).max(axis=axes)
+        return np.where(known.any(axis=axes), found, np.nan)
+
+    def half_width(self, axes: tuple[int, ...]) -> np.ndarray:
+        """Return the mean half-width over axes."""
+        return mean_of_known(self.half_widths, axes)
 
 
 def _roots(squares: np.ndarray) -> np.ndarray:

@@ -166,10 +166,11 @@ def interval_of(name: str, values: Mapping[str, np.ndarray], method: str = "t") 
 
 
 def level_of(figures: Mapping[str, Interval]) -> VerdictLevel:
-    """Return FAILED where a run failed, CHECK where estimates are overconfident, else WORKS."""
+    """Return FAILED where a run failed, CHECK where estimates claim too much, else WORKS."""
     if figures["failed"].value > 0:
         return "FAILED"
-    return "CHECK" if beyond(figures["anees"]) == "overconfident" else "WORKS"
+    doubtful = beyond(figures["anees"]) == "overconfident" or figures["sets_outside"].value > 0
+    return "CHECK" if doubtful else "WORKS"
 
 
 LEAST_RUNS = 5

@@ -118,16 +118,15 @@ def title_of(scenario: Scenario, driver: str) -> str:
     )
 
 
-def table(figures: Summary, title: str, with_nodes: bool = True) -> Table:
+def table(figures: Summary, title: str) -> Table:
     """The figures as a table: one row per node, then the network, then what frames it."""
     grid = _empty_table(title, (*_headings(figures), *_TRAFFIC))
     innovations = figures.innovations
-    for i, node in enumerate(figures.nodes if with_nodes else ()):
+    for i, node in enumerate(figures.nodes):
         own = None if innovations is None else innovations.nodes[i]
         traffic = (f"{node[name].value:.4g}" for name in _TRAFFIC)
         grid.add_row(str(i), *_cells(figures, node, own), *traffic)
-    if with_nodes:
-        grid.add_section()
+    grid.add_section()
     whole = figures.figures
     own = None if innovations is None else innovations.network
     sent, missed = (f"{whole[name].value:.6g}" for name in ("shares_sent", "shares_missed"))

@@ -26,12 +26,6 @@ class RefusedAtNode(NamedTuple):
     is_locked: bool
 
 
-class GateRefusals(NamedTuple):
-    """Refusals at each node that has a gate."""
-
-    nodes: tuple[RefusedAtNode, ...]
-
-
 _LOCKED = 5.0
 """So many times the expected share is no slip of a model that is nearly right."""
 
@@ -66,8 +60,10 @@ def accepted(setup: Setup, innovations: Innovations) -> Innovations:
     )
 
 
-def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray) -> GateRefusals:
-    """Refusals among own innovations (R, S, N, r, m) in the steps that count (R, S)."""
+def refused_by_gates(
+    setup: Setup, innovations: Innovations, counted: np.ndarray
+) -> list[RefusedAtNode]:
+    """Refusals of each gate among own innovations (R, S, N, r, m) in steps that count (R, S)."""
     from scipy.special import bdtrc, chdtrc
 
     gates, found = gates_of(setup), []
@@ -81,7 +77,7 @@ def refused_by_gates(setup: Setup, innovations: Innovations, counted: np.ndarray
         locked = taken > 0 and chance < FALSE_ALARMS / len(gates)
         locked &= refused > max(_LOCKED * expected, 0.5) * taken
         found.append(RefusedAtNode(node, taken, refused, expected, bool(locked)))
-    return GateRefusals(tuple(found))
+    return found
 
 
 def gates_of(setup: Setup) -> np.ndarray:

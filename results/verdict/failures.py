@@ -1,46 +1,38 @@
 """Findings that make the figures of runs meaningless, from what nodes counted and recorded."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from concord.results.figures.run_view import RunView
-from concord.results.innovations.gates import GateRefusals
+from concord.results.innovations.gates import RefusedAtNode
 from concord.results.outages import outages_of
 from concord.results.verdict.findings import Finding
-from concord.scenarios.catalogue import definition_of
 from concord.scenarios.types.rules import UserRule
 
 _UNUSABLE = ("not-positive-definite", "not-finite", "measurement-infinite")
 """Endings of the reasons for which nodes refuse the values of a sound frame."""
 
 
-def failures(view: RunView, refused: GateRefusals | None) -> Iterator[Finding]:
+def failures(view: RunView, refused: Sequence[RefusedAtNode] = ()) -> Iterator[Finding]:
     """Yield what failed in runs, first the cause that makes all others meaningless."""
     yield from _truth(view)
     # The filters cannot use beliefs that a rule has spoilt.
     yield from _fusions(view)
     yield from _filters(view)
     yield from _readings(view)
-    if refused is not None:
-        yield from _gates(refused)
+    yield from _gates(refused)
     yield from _members(view)
 
 
 def _truth(view: RunView) -> Iterator[Finding]:
-    """A truth that was known at the beginning and is not finite, or unknown, to the end."""
-    states = list(view.score.states)
-    known = np.asarray(np.isfinite(view.runs.truth[..., states]).all(axis=(0, 2)))
-    infinite = np.isinf(view.runs.truth).any()
-    simulated = definition_of(view.setup.scenario).all_steps is None
-    lost = not known.all() and known[0] and not known[int(np.argmin(known)) :].any()
-    if infinite or (simulated and lost):
-        first = int(np.argmin(known)) if not known.all() else len(known)
+    first = int(view.finite_steps.min())
+    if first < view.runs.steps:
         yield Finding(
             level="FAILED",
             cause="truth not finite",
             said=f"the truth is not finite from step {first} on: the model leaves the numbers",
-            cure=f"correct the model, or run no longer than --steps {max(first, 1)}",
+            cure=f"correct the model, or run no longer than --steps {first}",
             first_step=first,
         )
 
@@ -80,29 +72,23 @@ def _fusions(view: RunView) -> Iterator[Finding]:
         ),
         np.zeros(view.setup.scenario.nodes),
     )
-    rule, asked = view.setup.scenario.rule, bool(view.setup.scenario.changes)
-    cure = "correct the rule" if isinstance(rule, UserRule) else "choose another rule: --rule ci"
-    changed = view.runs.history is not None and view.runs.history.changed
+    rule, changed = view.setup.scenario.rule, bool(view.setup.scenario.changes)
+    changed |= view.runs.history is not None and view.runs.history.changed
     if failed.any():
-        node, count = int(failed.argmax()), int(failed.sum())
-        yield Finding(
-            level="FAILED",
-            cause="fusion failed",
-            said=f"rule {rule.name}: {count} fusions gave no belief, most of them at node {node}",
-            cure=cure,
-            node=node,
-            count=count,
-        )
-    elif refused.any() and not (asked or changed):
-        node, count = int(refused.argmax()), int(refused.sum())
-        yield Finding(
-            level="FAILED",
-            cause="values unusable",
-            said=f"rule {rule.name}: nodes refused {count} shares, whose numbers are no belief",
-            cure=cure,
-            node=node,
-            count=count,
-        )
+        counts, cause, said = failed, "fusion failed", "fusions gave no belief"
+    elif refused.any() and not changed:
+        counts, cause, said = refused, "values unusable", "shares were refused: they hold no belief"
+    else:
+        return
+    node, count = int(counts.argmax()), int(counts.sum())
+    yield Finding(
+        level="FAILED",
+        cause=cause,
+        said=f"rule {rule.name}: {count} {said}, most of them at node {node}",
+        cure="correct the rule" if isinstance(rule, UserRule) else "choose another rule: --rule ci",
+        node=node,
+        count=count,
+    )
 
 
 def _readings(view: RunView) -> Iterator[Finding]:
@@ -115,8 +101,8 @@ def _readings(view: RunView) -> Iterator[Finding]:
         )
 
 
-def _gates(refused: GateRefusals) -> Iterator[Finding]:
-    for one in refused.nodes:
+def _gates(refused: Sequence[RefusedAtNode]) -> Iterator[Finding]:
+    for one in refused:
         if one.taken and one.refused == one.taken:
             yield Finding(
                 level="FAILED",

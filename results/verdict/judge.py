@@ -56,8 +56,10 @@ def judge(view: RunView, heard: HearsAll | None) -> Judged:
     runs have none of their own."""
     own = view.runs.innovations
     if own is None or heard is None:
-        found = [*failures(view, None), *_recorded(view)]
-        return Judged(verdict_of([*found, *_without_innovations(view)]), None)
+        findings = [*failures(view), *_recorded(view)]
+        if not any(one.level == "FAILED" for one in findings):
+            findings += _without_innovations(view)
+        return Judged(verdict_of(findings), None)
     inside = view.counted & ~outside_model(view.setup, heard.belief, view.counted).steps
     findings = [*failures(view, refused_by_gates(view.setup, own, inside)), *_recorded(view)]
     has_failed = any(one.level == "FAILED" for one in findings)
@@ -138,9 +140,9 @@ def _enough(view: RunView) -> str:
     first = view.runs.steps - counted
     taken = np.isfinite(view.readings).any(axis=(3, 4))
     most = int(where_counted(view.counted, taken.astype(float))[:, first:].sum(axis=(0, 1)).max())
-    rate = most / max(len(view.readings) * counted, 1)
-    least = max(2 * BATCHES, ceil(2 * LEAST_UPDATES / rate) if rate else 0)
-    return f"--steps {first + max(least, 2 * counted if counted >= least else 0)}"
+    # Twice as many readings of the busiest node as a test needs, or twice as many as there were.
+    least = max(2 * BATCHES, ceil(2 * LEAST_UPDATES * counted / most) if most else 0)
+    return f"--steps {first + (least if counted < least else 2 * counted)}"
 
 
 def _tails(view: RunView) -> Iterator[Finding]:
@@ -172,8 +174,7 @@ def _without_innovations(view: RunView) -> Iterator[Finding]:
     """Of sets, whether they hold the truth; else ANEES alone."""
     if view.sets is not None:
         found = view.sets[False]
-        outside = int((found.known & ~(found.values <= 1)).sum())
-        sets = int(found.known.sum())
+        outside, sets = (int(one.sum()) for one in (found.outside((1, 2)), found.known))
         said = f"sets: {outside} of {sets} do not hold the truth"
         level = "CHECK" if outside else "WORKS"
         cause = "sets miss the truth" if outside else "consistent"

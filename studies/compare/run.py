@@ -60,6 +60,7 @@ KEPT, FILE = "kept", "figures"
 # Figures of a sweep that a comparison needs, all of shape (runs,).
 TAKEN = (
     "rmse", "rmse_centralised", "anees", "coverage", "bytes_per_step", "bus_time_us", "failed",
+    "sets_outside",
 )  # fmt: skip
 Figures = dict[str, np.ndarray]
 

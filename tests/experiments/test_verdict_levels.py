@@ -72,7 +72,12 @@ def too_sure(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
 
 
 def tracking(**options: Any) -> Scenario:
-    return cc.scenario("target-tracking", **options)
+    """The network of `make demo`, but for these options."""
+    bus = {"schedule": "dynamic", "occupancy": 0.25}
+    demo = {"nodes": 12, "rule": "sharp-ci", "number": "float16"}
+    if "rule" in options:
+        del demo["number"]
+    return cc.scenario("target-tracking", **(demo | bus | options))
 
 
 class Planted(NamedTuple):
