@@ -49,9 +49,8 @@ def _filters(view: RunView) -> Iterator[Finding]:
         if failed.any():
             node, count = int(failed.argmax()), int(failed.max())
             of = f" of {int(taken[node])}" if failed is updates else ""
-            others = (
-                f", and {np.count_nonzero(failed) - 1} more nodes" if (failed > 0).sum() > 1 else ""
-            )
+            more = np.count_nonzero(failed) - 1
+            others = f", and {more} more node{'s' * (more > 1)}" if more else ""
             yield Finding(
                 level="FAILED",
                 cause="filter failed",
