@@ -49,7 +49,7 @@ def _filters(view: RunView) -> Iterator[Finding]:
         if failed.any():
             node, count = int(failed.argmax()), int(failed.max())
             of = f" of {int(taken[node])}" if failed is updates else ""
-            more = np.count_nonzero(failed) - 1
+            more = int(np.count_nonzero(failed)) - 1
             others = f", and {more} more node{'s' * (more > 1)}" if more else ""
             yield Finding(
                 level="FAILED",
