@@ -6,8 +6,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare laboratory stories docs pictures lock clean
 
 demo: .venv/run.stamp
-	$(BIN)/concord run --nodes 12 --rule sharp-ci --number float16 --schedule dynamic \
-		--occupancy 0.25 --driver processes
+	$(BIN)/concord run --driver processes
 
 # A worker for each processor; the tests of a file stay together, in the order of tests/conftest.py.
 # The long tests often wait for processes and clocks, so three workers share two processors.

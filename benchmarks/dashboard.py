@@ -106,6 +106,8 @@ def _setup(nodes: int, steps: int) -> Setup:
             nodes=nodes,
             steps=steps,
             graph="4-regular",
+            rule="ci",
+            number="float64",
             schedule="hybrid",
             occupancy=min(0.5, 12 / nodes),
         )

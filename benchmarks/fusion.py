@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
+from benchmarks.measure import FULL_BUS, BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from concord.filters.gaussian import Gaussian
 from concord.nodes.lanes.network import BatchedRule
 from concord.runtime.batched.build import build_network
@@ -25,8 +25,9 @@ SCENARIO = "target-crossing"  # four states, on a geometric graph
 def network(rounds: int, by_inverse_volume: bool) -> tuple[Setup, BatchedRule]:
     """Return the network of a scenario, and its rule at all nodes of all runs."""
     options = scenario_of(
-        scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_inverse_volume, seed=1
-    )
+        scenario=SCENARIO, nodes=NODES, rounds=rounds, seed=1,
+        determinant_weights=by_inverse_volume, **FULL_BUS,
+    )  # fmt: skip
     setup = prepare(options)
     return setup, build_network(setup, range(RUNS)).segments[0].settings.rule
 

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.bare_loop import Load
-from benchmarks.measure import BenchmarkFigures, figure, ratio, say
+from benchmarks.measure import FULL_BUS, BenchmarkFigures, figure, ratio, say
 from concord.nodes.messages import decode, from_wire
 from concord.runtime.drivers import in_memory, over_processes
 from concord.runtime.interpreter import fresh_command, fresh_variables
@@ -86,7 +86,7 @@ def main() -> BenchmarkFigures:
 
 def setup_of(steps: int) -> Setup:
     """Return the network that is measured."""
-    return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
+    return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1, **FULL_BUS))
 
 
 def pace_of(run: Run, shorter: Run) -> LockstepPace:

@@ -19,6 +19,8 @@ import numpy as np
 from concord.studies.monte_carlo.simulate import keep_freed_memory
 
 Better = Literal["more", "less"]
+FULL_BUS = {"rule": "ci", "number": "float64", "schedule": "full"}
+"""The options of the networks that are timed: each node averages what all its neighbours say."""
 
 
 class BenchmarkFigure(msgspec.Struct, frozen=True):

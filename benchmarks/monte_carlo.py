@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.fusion import fuse
-from benchmarks.measure import BenchmarkFigures, figure, in_turns, peak_mb, say
+from benchmarks.measure import FULL_BUS, BenchmarkFigures, figure, in_turns, peak_mb, say
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.filters.ukf import predict, update
@@ -28,10 +28,13 @@ from concord.studies.monte_carlo.simulate import READINGS, simulate
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
 
+def _setup(steps: int) -> Setup:
+    return prepare(scenario_of(scenario=SCENARIO, nodes=NODES, steps=steps, seed=1, **FULL_BUS))
+
+
 def main() -> BenchmarkFigures:
     """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
-    options = scenario_of(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
-    setup = prepare(options)
+    setup = _setup(STEPS)
     parts = {
         "end to end": partial(_whole, setup),
         "UKF": _filters(setup),
@@ -89,7 +92,9 @@ def _filters(setup: Setup) -> Callable[[], float]:
     assert isinstance(plant, Target)
     model, sensors = plant.model, plant.sensors
     rule, start = scaled_unscented(len(setup.prior_mean)), _start(setup)
-    short = prepare(scenario_of(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1))
+    short = prepare(
+        scenario_of(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1, **FULL_BUS)
+    )
     readings = simulate(short, range(RUNS), keep=(READINGS,)).readings
     assert readings is not None
 

@@ -10,7 +10,15 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from benchmarks.measure import BenchmarkFigure, BenchmarkFigures, figure, in_turns, peak_mb, say
+from benchmarks.measure import (
+    FULL_BUS,
+    BenchmarkFigure,
+    BenchmarkFigures,
+    figure,
+    in_turns,
+    peak_mb,
+    say,
+)
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
@@ -74,7 +82,8 @@ def _slope(spent: Spent) -> BenchmarkFigure:
 
 def _timed(nodes: int, degree: int) -> Callable[[], float]:
     """Seconds of the processor for a network, per run and round."""
-    options = scenario_of(nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, bus="ideal")
+    network = FULL_BUS | {"nodes": nodes, "graph": f"{degree}-regular", "bus": "ideal"}
+    options = scenario_of(steps=STEPS, seed=1, **network)
     setup: Setup = prepare(options)
     runs = range(LANES // nodes)
     work = len(runs) * STEPS * setup.scenario.rounds

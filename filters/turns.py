@@ -13,7 +13,6 @@ import numpy as np
 from concord.filters.gaussian import Information
 from concord.filters.linalg import multiply
 
-TURN = 2 * math.pi
 Angles = tuple[int, ...]
 """States that are angles in rad."""
 
@@ -31,7 +30,7 @@ def turns_between(mean: np.ndarray, other: np.ndarray, angles: Angles) -> np.nda
     turns = np.zeros(np.broadcast_shapes(mean.shape, other.shape))
     places = list(angles)
     away = (other - mean)[..., places]
-    turns[..., places] = TURN * np.round(np.where(np.isfinite(away), away, 0.0) / TURN)
+    turns[..., places] = math.tau * np.round(np.where(np.isfinite(away), away, 0.0) / math.tau)
     return turns
 
 
@@ -63,9 +62,9 @@ def turns_to_own(
     angle = np.where(heard, angle, 0.0)
     sine, cosine = ((sure * part(angle)).sum(axis=-2, keepdims=True) for part in (np.sin, np.cos))
     direction = np.arctan2(sine, cosine)
-    direction = direction + TURN * np.round((angle[..., :1, :] - direction) / TURN)
+    direction = direction + math.tau * np.round((angle[..., :1, :] - direction) / math.tau)
     turns = np.zeros_like(means)
-    turns[..., places] = TURN * np.round((direction - angle) / TURN)
+    turns[..., places] = math.tau * np.round((direction - angle) / math.tau)
     turns[..., 0, :] = 0.0
     return turns
 

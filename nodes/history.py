@@ -10,9 +10,11 @@ from functools import cached_property
 from math import inf
 from typing import Literal, NamedTuple
 
-from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
+from concord.nodes.changes import Event, Fault, Gone, Joined, Left, PaceChange, Set
+from concord.nodes.faults.vocabulary import FAULTS
 
 _DRAWING = ("graph", "placement")
+_HINDERING = frozenset(kind for kind, word in FAULTS.items() if word.family == "nodes")
 
 
 class Epoch(NamedTuple):
@@ -31,7 +33,8 @@ class Epoch(NamedTuple):
 class AbsentSteps(NamedTuple):
     """A node took no part from `first_step` to before `end_step`; None is to the end.
 
-    `why`: on command, since its process was gone, or in real time since its estimate came late.
+    `why`: on command or by a fault that was asked for, since its process was gone, or in real time
+    since its estimate came late.
     """
 
     node: int
@@ -42,11 +45,15 @@ class AbsentSteps(NamedTuple):
 
 @dataclass(frozen=True)
 class History:
-    """The epochs of a run in order, the absent nodes, and whether anything changed at all."""
+    """The epochs of a run in order, the absent nodes, and whether anything changed at all.
+
+    `hindered` are the nodes that a fault has made slow or hang, since these may be gone by it.
+    """
 
     epochs: tuple[Epoch, ...]
     absent_steps: tuple[AbsentSteps, ...] = ()
     changed: bool = False
+    hindered: frozenset[int] = frozenset()
 
     @cached_property
     def _out(self) -> dict[int, tuple[list[int], list[float]]]:
@@ -120,11 +127,13 @@ def with_event(history: History, event: Event) -> History:
             return replace(history, epochs=(*history.epochs, epoch))
         case Left(node) | Gone(node):
             place = _open(absent, node)
-            why = "gone" if isinstance(event.change, Gone) else "asked"
-            since = AbsentSteps(node, step, None, why)
+            is_asked = isinstance(event.change, Left) or node in history.hindered
+            since = AbsentSteps(node, step, None, "asked" if is_asked else "gone")
             if place is not None:
                 since = min(since, absent[place], key=lambda one: one.first_step)
             return replace(history, absent_steps=_with(absent, place, since))
+        case Fault(kind, nodes) if kind in _HINDERING:
+            return replace(history, hindered=history.hindered | {*nodes})
         case Joined(node) if (place := _open(absent, node)) is not None:
             ended = absent[place]._replace(end_step=step)
             return replace(history, absent_steps=_with(absent, place, ended))

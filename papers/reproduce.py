@@ -18,6 +18,7 @@ from concord.papers.kit.report import (
     Paper,
     ReproductionReport,
     check_runs,
+    held_of,
     report_of,
     write_report,
 )
@@ -106,9 +107,9 @@ def _show(report: ReproductionReport, folder: Path, as_json: bool) -> None:
             console.print()
     checks = [check for section in report.sections for check in section.checks]
     for check in checks:
-        if not check.ok:
+        if check.outcome != "holds":
+            lead = "FAILED" if check.outcome == "fails" else "undecided, use more --runs:"
             sys.stdout.write(
-                f"FAILED {check.name}: expected {check.expected}, measured {check.measured}\n"
+                f"{lead} {check.name}: expected {check.expected}, measured {check.measured}\n"
             )
-    held = sum(check.ok for check in checks)
-    sys.stdout.write(f"{held} of {len(checks)} checks hold; see {folder / REPORT}\n")
+    sys.stdout.write(f"{held_of(checks)}; see {folder / REPORT}\n")

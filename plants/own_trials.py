@@ -1,11 +1,12 @@
 """Functions of the user's own are tried before anything starts."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.plants.range_bearing import TURN, wrapped
+from concord.plants.range_bearing import wrapped
 
 # Leading axes with which a function is tried before anything starts.
 _TRIED = (3, 2)
@@ -90,7 +91,7 @@ def require_one_value(
     deviation = np.sqrt(np.diagonal(cov))
     with np.errstate(all="ignore"):
         for state in range(len(mean)):
-            for middle, reach in ((0.0, 0.75 * TURN), (mean[state], 3 * deviation[state])):
+            for middle, reach in ((0.0, 0.75 * math.tau), (mean[state], 3 * deviation[state])):
                 points = np.repeat(mean[None], _GRID, axis=0)
                 points[:, state] = middle + reach * np.linspace(-1, 1, _GRID)
                 _require_no_jump(name, function, points, state, angles, of_value)
@@ -114,15 +115,16 @@ def _require_no_jump(
 
     try:
         rises = rise(points)
+        rises[:, np.isnan(rises).all(axis=0)] = 0.0
         usual = np.nanmedian(rises, axis=0)
-        place, entry = np.argwhere(np.abs(rises - TURN) <= 0.1 + 10 * usual)[0]
+        place, entry = np.argwhere(np.abs(rises - math.tau) <= 0.1 + 10 * usual)[0]
         ends = points[place : place + 2]
         for _ in range(_HALVINGS):
             middle = ends.mean(axis=0)
             left = np.stack((ends[0], middle))
-            falls_left = rise(left)[0, entry] > TURN / 2
+            falls_left = rise(left)[0, entry] > math.tau / 2
             ends = left if falls_left else np.stack((middle, ends[1]))
-        is_jump = abs(rise(ends)[0, entry] - TURN) < _CLOSE
+        is_jump = abs(rise(ends)[0, entry] - math.tau) < _CLOSE
     # A user's function may refuse states that the plant never has; no jump is an IndexError.
     except Exception:
         return

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from concord.plants.motion import require_positive
 
-TURN = 2 * math.pi
-
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same angles (...) in rad, within (-pi, pi]."""
     # The minimum takes back one unit in the last place that rounding may add to pi.
-    return np.minimum(angle - TURN * np.ceil(angle / TURN - 0.5), math.pi)
+    return np.minimum(angle - math.tau * np.ceil(angle / math.tau - 0.5), math.pi)
 
 
 Moves = tuple[tuple[int, np.ndarray], ...]

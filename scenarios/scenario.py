@@ -113,7 +113,13 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Raises:
             ValueError: an unknown name, or a wrong type.
         """
-        return assigned(self, _with_schedule(self, in_words(options)))
+        words = _with_schedule(self, in_words(options))
+        found, left = assigned(self, words)
+        # Two bytes a number that nobody asked for give way to a filter that cannot have them.
+        is_rounded = getattr(found.rule, "number", "") == "float16"
+        if is_rounded and not found.filter.in_two_bytes and "number" not in words:
+            return assigned(found, {"number": "float32", **left})
+        return found, left
 
 
 SETTINGS = tuple(
@@ -159,20 +165,18 @@ def _is_drawing_or_sites(placement: object) -> bool:
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:
-    """Choose a schedule for a slot table, or an occupancy, that the schedule of the scenario does
-    not have."""
+    """Choose the schedule of a slot table or an occupancy: full for 1, the usual one of the bus for
+    less where the scenario has the full one."""
     if "slots" in options and "schedule" not in options:
         return {**options, "schedule": "written"}
     asked = options.get("occupancy")
     if asked is None or isinstance(options.get("bus"), msgspec.Struct):
         return options
-    schedule = options.get("schedule", scenario.bus.schedule)
-    is_full = schedule == "full" or isinstance(schedule, FullSchedule)
-    if not is_full:
-        return options
-    if asked == 1:
-        return {name: value for name, value in options.items() if name != "occupancy"}
-    if "schedule" in options:
+    schedule = options.get("schedule")
+    if asked == 1 and (schedule is None or schedule == "full"):
+        rest = {name: value for name, value in options.items() if name != "occupancy"}
+        return {**rest, "schedule": "full"}
+    if schedule is not None or not isinstance(scenario.bus.schedule, FullSchedule):
         return options
     # A part of the bus is a wish for a schedule that can give it.
     asked_bus = options.get("bus", scenario.bus.name)

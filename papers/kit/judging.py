@@ -24,15 +24,26 @@ Test = Literal["every finding", "any open choice", "print against print"]
 
 # A reproduction makes about a hundred checks; one in ten such reports may fail by chance.
 CONFIDENCE = 0.999
+_TOO_WIDE = 0.5
+"""A band wider than this part of the expected value decides nothing."""
 
 
 class Check(msgspec.Struct, frozen=True):
-    """An assertion that must hold: what was expected, in words, and what was measured."""
+    """An assertion that must hold: what was expected, in words, and what was measured.
+
+    An `undecided` one does not fail, as so few runs could not refute it.
+    """
 
     name: str
     expected: str
     measured: float | str
     ok: bool
+    undecided: bool = False
+
+    @property
+    def outcome(self) -> Literal["holds", "fails", "undecided"]:
+        """The word for it."""
+        return "undecided" if self.undecided else "holds" if self.ok else "fails"
 
 
 def near(name: str, measured: float, expected: float, tolerance: float, unit: str = "") -> Check:
@@ -52,9 +63,12 @@ def above(name: str, measured: float, bound: float, unit: str = "") -> Check:
     return Check(name, f"above {bound:g} {unit}".rstrip(), float(measured), bool(measured > bound))
 
 
-def below(name: str, measured: float, bound: float, unit: str = "") -> Check:
-    """measured < bound."""
-    return Check(name, f"below {bound:g} {unit}".rstrip(), float(measured), bool(measured < bound))
+def below(name: str, measured: Interval | float, bound: float, unit: str = "") -> Check:
+    """measured < bound; undecided where the bound lies in the interval."""
+    value, low, high = measured if isinstance(measured, Interval) else (measured,) * 3
+    words = f"below {bound:g} {unit}".rstrip()
+    ok, undecided = bool(high < bound), bool(low < bound <= high)
+    return Check(name, words, float(value), ok or undecided, undecided)
 
 
 def agrees(
@@ -62,6 +76,8 @@ def agrees(
     of_runs: int | None = None, rounding: float = 0.0,
 ) -> Check:  # fmt: skip
     """The expected value is what so many runs allow, by their own 95 % interval.
+
+    The check is undecided where they allow more than half as much again, or half as much.
 
     Args:
         measured: the mean of the runs with its interval.
@@ -71,8 +87,16 @@ def agrees(
     """
     widened = stdtrit(runs - 1, 0.5 + CONFIDENCE / 2) / stdtrit(runs - 1, 0.975)
     scatter = np.sqrt(1.0 + (0.0 if of_runs is None else runs / of_runs))
-    half_width = (measured.high - measured.low) / 2
-    return near(name, measured.value, expected, float(widened * scatter * half_width + rounding))
+    less, more = (
+        float(widened * scatter * side + rounding)
+        for side in (measured.value - measured.low, measured.high - measured.value)
+    )
+    words = f"{expected:g} ± {less:g}"
+    if not np.isclose(less, more):
+        words = f"{expected - more:.4g} to {expected + less:.4g}"
+    ok = bool(measured.value - less <= expected <= measured.value + more)
+    undecided = ok and not max(less, more) <= _TOO_WIDE * abs(expected)
+    return Check(name, words, float(measured.value), ok, undecided)
 
 
 def refused(name: str, attempt: Callable[[], object], because: str) -> Check:

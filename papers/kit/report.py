@@ -3,6 +3,7 @@
 A reproduction is a generator of sections. `report.md` and `report.json` are rewritten after each.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -112,16 +113,28 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
 
 
+def held_of(checks: Sequence[Check]) -> str:
+    """ "9 of 10 checks hold", and how many are undecided."""
+    counts = Counter(check.outcome for check in checks)
+    more = f", {counts['undecided']} undecided" if counts["undecided"] else ""
+    return f"{counts['holds']} of {len(checks)} checks hold{more}"
+
+
 def _summary(report: ReproductionReport) -> str:
     checks = [check for section in report.sections for check in section.checks]
-    failed = [check.name for check in checks if not check.ok]
+    failed, undecided = (
+        [check.name for check in checks if check.outcome == outcome]
+        for outcome in ("fails", "undecided")
+    )
     claims = [claim.verdict for section in report.sections for claim in section.claims]
     errata = sum(len(section.errata) for section in report.sections)
     versions = ", ".join(f"{name} {number}" for name, number in report.versions.items())
     lines = [f"Seed {report.seed}, {report.runs} runs; {versions}.", ""]
     if not report.complete:
         lines += ["**Not complete: the run was interrupted, or is still under way.**", ""]
-    lines.append(f"{len(checks) - len(failed)} of {len(checks)} checks hold.")
+    lines.append(f"{held_of(checks)}.")
+    if undecided:
+        lines += ["", "**Undecided: use more --runs.**", *(f"- {name}" for name in undecided)]
     if failed:
         lines += ["", "**Failed:**", *(f"- {name}" for name in failed)]
     if claims:
@@ -153,7 +166,7 @@ def _tables(section: Section) -> Iterator[str]:
                 check.name,
                 check.expected,
                 check.measured if isinstance(check.measured, str) else f"{check.measured:.6g}",
-                "yes" if check.ok else "**NO**",
+                {"holds": "yes", "fails": "**NO**"}.get(check.outcome, check.outcome),
             )
             for check in section.checks
         ]

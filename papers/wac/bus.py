@@ -81,7 +81,10 @@ SCHEDULES = ("round-robin", "hybrid", "dynamic")
 
 def track(seed: int, runs: int = 24) -> PaperScenario:
     """Twenty nodes follow a turning target."""
-    scenario = definition_named("target-tracking").defaults.with_(seed=seed, rounds=3)
+    default = definition_named("target-tracking").defaults
+    scenario = default.with_(
+        nodes=20, rule="ci", number="float64", schedule="full", seed=seed, rounds=3
+    )
     return PaperScenario("TRACK", scenario, runs, 20, position_only=True)
 
 

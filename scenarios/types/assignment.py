@@ -106,7 +106,9 @@ def typed(declared: Declaration, value: object) -> Any:
         ValueError: it is of another type.
     """
     if declared.names and value not in declared.names:
-        raise unknown_name(_in_words(declared.name), str(value), declared.names)
+        unknown = unknown_name(_in_words(declared.name), str(value), declared.names)
+        cure = declared.says.cure
+        raise ValueError(f"{unknown}; {cure}") if cure else unknown
     try:
         return msgspec.convert(value, declared.annotation)
     except msgspec.ValidationError:

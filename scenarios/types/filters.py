@@ -10,11 +10,13 @@ class FilterBase(Choice, frozen=True, kw_only=True):
     """A filter of the nodes.
 
     `unavailable` says why only some scenarios have the filter; empty for a filter of all.
-    `set_valued` filters estimate sets that hold the truth for certain.
+    `set_valued` filters estimate sets that hold the truth for certain. Beliefs of a filter that is
+    not `in_two_bytes` need longer numbers on the wire.
     """
 
     unavailable: ClassVar[str] = ""
     set_valued: ClassVar[bool] = False
+    in_two_bytes: ClassVar[bool] = True
 
 
 class UnscentedFilter(FilterBase, frozen=True, kw_only=True, tag="ukf"):
@@ -60,6 +62,7 @@ class IteratedTangentFilter(PassesFilter, frozen=True, kw_only=True, tag="iekf")
 class InteractingMultipleModels(FilterBase, frozen=True, kw_only=True, tag="imm"):
     """Interacting multiple models: the ukf of a straight course and that of a turn."""
 
+    in_two_bytes: ClassVar[bool] = False
     change: Annotated[
         float,
         Option("Probability that a straight course or a turn ends within a step.", above=0,

@@ -52,7 +52,7 @@ class Option(NamedTuple):
         above, at_least, below, at_most: range of its number.
         even: whether the number must be even.
         is_setting: whether a network that runs can change it (`set`).
-        cure: what to do about a number outside the range, and why.
+        cure: what to do about a value outside the range or the names, and why.
         first: whether the short help of a command shows it.
     """
 

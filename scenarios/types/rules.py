@@ -13,6 +13,12 @@ from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.user.values import FromFile, builder_source
 
 Number = Literal["float64", "float32", "float16"]
+NUMBER = Option(
+    "Format of numbers on the wire; float16 is two bytes each, for shares of beliefs, whose "
+    "covariance is enlarged by what is lost.",
+    first=True,
+    cure="two bytes a number are for shares with a covariance, which what is lost enlarges",
+)
 HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)
 
 
@@ -28,11 +34,7 @@ class FusionRule(Choice, frozen=True, kw_only=True):
 class NumberRule(FusionRule, frozen=True, kw_only=True):
     """A rule whose shares are numbers of one format."""
 
-    number: Annotated[
-        Number,
-        Option("Format of numbers on the wire; float16 is two bytes each, for shares of beliefs, "
-               "whose covariance is enlarged by what is lost.", first=True),
-    ] = "float64"  # fmt: skip
+    number: Annotated[Number, NUMBER] = "float64"
 
 
 class AverageRule(NumberRule, frozen=True, kw_only=True):
@@ -73,9 +75,13 @@ class InformationConsensus(NumberRule, frozen=True, kw_only=True, tag="icf"):
 class DiffusionRule(NumberRule, frozen=True, kw_only=True, tag="diffusion"):
     """Readings of the neighbours, then averaged means; covariance not fused: not consistent."""
 
+    number: Annotated[Literal["float64", "float32"], NUMBER] = "float64"
+
 
 class KalmanConsensus(NumberRule, frozen=True, kw_only=True, tag="kcf"):
     """Readings of the neighbours, then a pull to their means: not consistent, takes no weights."""
+
+    number: Annotated[Literal["float64", "float32"], NUMBER] = "float64"
 
 
 class LocalRule(NumberRule, frozen=True, kw_only=True, tag="local"):
@@ -84,6 +90,8 @@ class LocalRule(NumberRule, frozen=True, kw_only=True, tag="local"):
 
 class CentralisedRule(NumberRule, frozen=True, kw_only=True, tag="centralised"):
     """All readings at every node: the optimum; complete graph, full schedule, one round."""
+
+    number: Annotated[Literal["float64", "float32"], NUMBER] = "float64"
 
 
 LEAST_WINDOW_STEPS = 32

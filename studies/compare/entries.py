@@ -7,6 +7,7 @@ from typing import NamedTuple
 import msgspec
 
 from concord.entries import summaries
+from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario_options import scenario_of
@@ -112,6 +113,9 @@ def check_together(entries: Sequence[ComparedEntry], workers: int) -> None:
 
 def _entry(case: Case, name: str, source: str, data: str | None) -> ComparedEntry:
     options = {**case.options, "rule": source}
+    network = definition_named(case.options["scenario"]).defaults
+    if hasattr(network.with_known(rule=source)[0].rule, "number"):
+        options["number"] = "float64"
     if case.recorded:
         if data is None:
             return ComparedEntry(case, name, None, DATA_MISSING)

@@ -29,7 +29,10 @@ _TARGET = {"scenario": "target-tracking", "nodes": "20", "steps": "80", "seed": 
 
 
 def _tracking(name: str, purpose: str, **options: str) -> Case:
-    return Case(name, purpose, {**_TARGET, **options}, 60)
+    """A target on the full bus, or on a part; on a tenth a lost node makes the errors spread."""
+    part = {} if "occupancy" in options else {"schedule": "full"}
+    runs = 200 if options.get("occupancy") == "0.1" else 60
+    return Case(name, purpose, {**_TARGET, **part, **options}, runs)
 
 
 SUITE = (

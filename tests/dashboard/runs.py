@@ -16,8 +16,14 @@ Messages = list[tuple[str, bytes]]
 
 
 def setup_of(name: str, **changes) -> Setup:
-    """A scenario with its own defaults but for these changes, worked out."""
-    return prepare(definition_named(name).defaults.with_(**changes))
+    """A scenario with its own defaults but for these changes, worked out.
+
+    A target is followed by rule ci on the full bus, so that each step shows every share.
+    """
+    usual = definition_named(name).defaults
+    if name.startswith("target-") and usual.rule.name == "sharp-ci":
+        usual = usual.with_(rule="ci", number="float64", schedule="full")
+    return prepare(usual.with_(**changes))
 
 
 class RunInMemory:

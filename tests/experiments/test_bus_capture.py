@@ -47,7 +47,8 @@ def tracking(tmp_path: Path, capsys) -> Path:
     folder = tmp_path / "run"
     said = concord(
         capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--occupancy", 0.25,
-        "--schedule", "hybrid", "--cluster", "audi", "--steps", 4, "--out", folder, "--json",
+        "--schedule", "hybrid", "--number", "float64", "--cluster", "audi", "--steps", 4,
+        "--out", folder, "--json",
     )  # fmt: skip
     figures = said.json()["bus"]
     assert figures["cluster"] == "audi" and figures["contenders"] == 10

@@ -91,8 +91,10 @@ def test_the_frame_is_computed_once_for_equal_noise_and_anew_for_other():
 
 def test_bytes_count_what_frames_add():
     # So wide a share that it takes two frames.
-    fields = {"nodes": 4, "steps": 3, "rule": "hcmci", "graph": "ring"}
-    setup = prepare(scenario_of("target-tracking", **fields))
+    network = {"nodes": 4, "graph": "ring", "schedule": "full"}
+    setup = prepare(
+        scenario_of("target-tracking", steps=3, rule="hcmci", number="float64", **network)
+    )
     frames = [data for topic, data in in_memory(setup) if topic.startswith("share/")]
     assert len(frames) == 3 * 3 * 4 * 2
     histories = simulate(setup, range(1))
@@ -133,14 +135,14 @@ def test_the_front_is_what_nothing_beats():
     assert front(cost, error).tolist() == [0, 2, 5]
 
 
-@pytest.mark.parametrize("fields", [{}, {"schedule": "hybrid", "occupancy": 0.5}])
+@pytest.mark.parametrize("fields", [{"schedule": "full"}, {"schedule": "hybrid", "occupancy": 0.5}])
 def test_figures_of_a_run_do_not_depend_on_the_runs_beside_it(fields: dict):
     """Runs share what is computed once where their traffic is the same."""
     setup = prepare(scenario_of("target-tracking", nodes=6, steps=25, **fields))
     histories = simulate(setup, range(5))
     together = computed(RunView(histories, frame_of(histories)))
     contended = not (histories.classes == histories.classes[:1]).all()
-    assert contended == bool(fields)
+    assert contended == (fields["schedule"] == "hybrid")
     for run in range(5):
         own = simulate(setup, [run])
         alone = computed(RunView(own, frame_of(own)))

@@ -99,7 +99,10 @@ BAD_CELLS = [
     ({"scenario": "target-tracking,target-traking"}, "did you mean 'target-tracking'"),
     ({"rule": "ci,icf", "weights": "metropolis,equal-neighbour"}, "weights=equal-neighbour"),
     ({"occupancy": ".5,1", "schedule": "full"}, "--occupancy 0.5: belongs to --schedule"),
-    ({"nodes": "20,60", "number": "float64", "cluster": "bosch"}, "cell nodes=60|cell nodes=20"),
+    (
+        {"nodes": "20,60", "number": "float64", "schedule": "full", "cluster": "bosch"},
+        "cell nodes=60|cell nodes=20",
+    ),
     (
         {"changes": "none,3 kill 1;"},
         "cell changes=3 kill 1; .2 of 2.: .*must begin with the number",

@@ -70,6 +70,9 @@ def network(rounds: int, by_inverse_volume: bool) -> tuple[BatchedBeliefs, list[
         scenario(
             "target-crossing",
             nodes=7,
+            rule="ci",
+            number="float64",
+            schedule="full",
             rounds=rounds,
             determinant_weights=by_inverse_volume,
             decay=1.0,

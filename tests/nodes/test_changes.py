@@ -15,6 +15,7 @@ from concord.nodes.changes import (
     UNCHANGED,
     Cut,
     Event,
+    Fault,
     Gone,
     Healed,
     Joined,
@@ -200,6 +201,9 @@ def test_a_history_knows_who_was_in_and_where_a_cycle_belongs():
     history = history_of(3, [Event(step, change) for step, change in events])
     assert history.epochs == (Epoch(0, 0, 3), Epoch(5, 15, 2))
     assert history.absent_steps == (AbsentSteps(1, 4, 6), AbsentSteps(1, 8, None, "gone"))
+    slow = [(2, Fault("slow-cpu", (1,), (200.0,))), *events]
+    asked = history_of(3, [Event(step, change) for step, change in slow]).absent_steps
+    assert [one.why for one in asked] == ["asked", "asked"]
     assert [history.is_in(1, step) for step in range(3, 10)] == [1, 0, 0, 1, 1, 0, 0]
     assert [history.place(cycle) for cycle in (0, 14, 15, 16, 17)] == [
         (0, 0), (4, 2), (5, 0), (5, 1), (6, 0),

@@ -75,6 +75,9 @@ def test_checks_hold_up_to_their_bounds():
     assert not below("x", 1.0, 1.0).ok
     assert above("x", 1.1, 1.0).ok
     assert below("x", 0.9, 1.0).ok
+    intervals = [Interval(1.0, 0.8, high) for high in (1.2, 0.9)]
+    assert [below("x", one, 1.0).outcome for one in intervals] == ["undecided", "holds"]
+    assert below("x", Interval(1.3, 1.1, 1.5), 1.0).outcome == "fails"
 
 
 def test_nan_passes_no_check():
@@ -144,6 +147,12 @@ def test_a_band_is_as_wide_as_the_runs_say():
     assert agrees("x", known, 30, 1.1).ok
     assert not agrees("x", known, 30, 1.3).ok
     assert agrees("x", known, 30, 1.25, of_runs=30).ok
+    assert agrees("x", known, 30, 1.1).outcome == "holds"
+    assert agrees("x", known, 2, 1.1).outcome == "undecided"
+    assert agrees("x", Interval(1.0, 0.99, 1.01), 2, 9.0).outcome == "fails"
+    # Of a positive figure the interval reaches further up than down.
+    heavy = Interval(1.0, 0.9, 1.4)
+    assert agrees("x", heavy, 30, 1.5).ok and not agrees("x", heavy, 30, 0.7).ok
     assert not agrees("x", Interval(1.0, 0.99, 1.01), 30, 1.1).ok
     assert not agrees("x", Interval(1.0, NAN, NAN), 1, 1.0).ok
 

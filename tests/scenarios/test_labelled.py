@@ -85,7 +85,9 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Readings in steps of a sixteenth of their deviation; R larger by a twelfth of its square."""
-    setup = setup_of(scenario="target-tracking", nodes=6, graph="complete", rounds=1, steps=30)
+    setup = setup_of(
+        scenario="target-tracking", nodes=6, graph="complete", rounds=1, schedule="full", steps=30
+    )
     trace = trace_of(setup)
     definition = definition_named("target-tracking")
     step = np.array([10.0, np.deg2rad(2.0)]) / 16
@@ -279,7 +281,7 @@ def test_a_directed_graph_is_refused():
 
 def test_the_window_is_the_latency_and_32_steps_at_least():
     path = [[1], *([i - 1, i + 1] for i in range(1, 19)), [18]]
-    scenario = scenario_of(graph="path", rule="labelled", occupancy=0.1)
+    scenario = scenario_of(nodes=20, graph="path", rule="labelled", occupancy=0.1)
     # 19 hops, each of at most 20 nodes' turns, 2 a cycle and 3 cycles a step.
     assert latency_steps(scenario, path) == window_of(scenario, path) == -(-19 * 20 // 6)
     assert window_of(scenario.with_(occupancy=1.0), path) == 32
