@@ -268,7 +268,7 @@ def test_the_measure_of_loading_sees_what_is_loaded():
     ("command", "written"),
     [
         ("run --driver batched --scenario oscillator --nodes 3 --steps 40 --runs 5 --out run",
-         ["+- 0.", "5 runs from run 0 on; "]),
+         ["+- 0.", "5 runs from run 0 on"]),
         ("run --scenario oscillator --nodes 3 --steps 20 --out run", ["centralised", "ANEES"]),
     ],
 )  # fmt: skip
