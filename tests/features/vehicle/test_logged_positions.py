@@ -224,8 +224,8 @@ def test_the_command_judges_such_a_log_and_identifies_its_receiver(tmp_path: Pat
     main(["run", "--scenario", "vehicle-network", "--data", str(log), "--number", "float32",
           "--filter", "ukf", "--out", str(tmp_path / "run")])  # fmt: skip
     said = " ".join(capsys.readouterr().out.split())
-    assert "neither over- nor underconfident" in said
-    assert "verdict: underconfident: models and sensors fit the readings, but rule ci" in said
+    assert "honesty consistent: models and sensors fit the readings" in said
+    assert "the side slip errs as the filter that hears everything claims" in said
 
 
 @pytest.mark.parametrize(
