@@ -21,23 +21,25 @@ def open_recording(
     light: bool,
     expected: Expectation = nothing_expected,
     other: OtherRun | None = None,
+    verdict: str = "",
 ) -> Dashboard:
-    """A page on a recorded run, and on one beside it; `expected` is what more runs tell of it.
+    """A page on a recorded run, and on one beside it; `expected` is what more runs tell of it, and
+    `verdict` that on the whole run.
 
     Raises:
         ValueError: the file is not a recording, or an empty one.
     """
-    source, theme = _recorded(setup, recording), LIGHT if light else DARK
+    source, theme = _recorded(setup, recording, verdict), LIGHT if light else DARK
     return Dashboard(source, host, port, theme, recording.parent, expected, other)
 
 
-def _recorded(setup: Setup, recording: Path) -> RecordedSource:
+def _recorded(setup: Setup, recording: Path, verdict: str = "") -> RecordedSource:
     # Its first message tells whether it is one, before a page is opened on it.
     if next(iter(read_recording(recording)), None) is None:
         raise ValueError(
             f"{recording}: nothing was recorded; the run ended before its first message"
         )
-    return RecordedSource(set_stage(setup), recording)
+    return RecordedSource(set_stage(setup), recording, verdict)
 
 
 def other_run(

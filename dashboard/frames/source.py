@@ -99,12 +99,16 @@ class Source(Protocol):
 
 
 class RecordedSource:
-    """A recording: read little by little, so that the page is there at once."""
+    """A recording: read little by little, so that the page is there at once.
+
+    `verdict` is that of the whole run, in words; empty where there is none.
+    """
 
     live = takes_commands = False
 
-    def __init__(self, stage: Stage, recording: Path) -> None:
+    def __init__(self, stage: Stage, recording: Path, verdict: str = "") -> None:
         self.stage = stage
+        self._verdict = verdict and f"; the whole run: {verdict}"
         self._frames: Iterator[StepFrame] | None = replayed(stage, recording)
         self._read = 0
 
@@ -127,7 +131,7 @@ class RecordedSource:
     def pace(self) -> SourceState:
         """A recording has no pace of its own; the player sets it."""
         if self._frames is None:
-            return SourceState("RECORDED", f"{self._read} steps")
+            return SourceState("RECORDED", f"{self._read} steps{self._verdict}")
         steps = self.stage.setup.scenario.steps
         return SourceState("LOADING", f"{self._read} of {steps} steps read")
 

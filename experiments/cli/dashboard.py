@@ -23,7 +23,7 @@ from concord.studies.priority import give_way
 if TYPE_CHECKING:
     from concord.dashboard.app import Dashboard
     from concord.dashboard.frames.live import LiveNetwork
-    from concord.scenarios.setup import Setup
+    from concord.results.folder import Description
 
 _LONGEST_WAIT_S = 60.0
 _NICENESS = 10
@@ -143,17 +143,19 @@ def replay(
 
     with user_errors():
         check_place(options.host, options.http_port)
-        setup, file = _recorded(recording)
+        description, file = _recorded(recording)
+        setup, found = description.setup, description.verdict
+        verdict = "" if found is None else found.in_words()
         other = None
         if beside is not None:
             labels = (recording.name, beside.name)
             if labels[0] == labels[1]:
                 labels = (str(recording), str(beside))
-            setup_beside, file_beside = _recorded(beside)
-            other = other_run(setup_beside, file_beside, setup, labels, ratio_t)
+            description_beside, file_beside = _recorded(beside)
+            other = other_run(description_beside.setup, file_beside, setup, labels, ratio_t)
         others = OtherRuns(setup, sparing=False)
         page = open_recording(
-            setup, file, options.host, options.http_port, options.light, others, other
+            setup, file, options.host, options.http_port, options.light, others, other, verdict
         )
     sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
     try:
@@ -187,8 +189,8 @@ def _explore(result: Path, options: PageOptions, beside: Path | None) -> None:
         runs.close()
 
 
-def _recorded(named: Path) -> tuple["Setup", Path]:
-    """Return the setup of a run, named by its folder or a file in it, and its recording.
+def _recorded(named: Path) -> tuple["Description", Path]:
+    """Return run.json of a run, named by its folder or a file in it, and its recording.
 
     Raises:
         ValueError: there is none.
@@ -197,4 +199,4 @@ def _recorded(named: Path) -> tuple["Setup", Path]:
 
     folder = named.parent if named.is_file() else named
     recording = recording_of(folder)
-    return read_description(folder).setup, recording
+    return read_description(folder), recording

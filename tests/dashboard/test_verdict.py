@@ -1,6 +1,7 @@
 """The verdict of the page: words that follow from errors, beliefs and the band."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ import pytest
 from concord.dashboard.explain.help import HEADINGS, help_panel
 from concord.dashboard.frames.expected import Expected, nothing_expected
 from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.source import RecordedSource
+from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.frames.verdict import STEPS, verdict
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
-from tests.dashboard.runs import run_of
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
+from tests.dashboard.runs import run_of, setup_of
 
 RUN = run_of("target-tracking", nodes=8, steps=45)
 STATES = len(RUN.stage.score.nees_states)
@@ -99,3 +104,15 @@ def test_the_help_names_every_verdict_every_heading_and_every_mark():
         assert f"<b>{word}</b>" in html
     for word in ("truth", "blind", "stale", "rejected", "down", "sends", "cut"):
         assert word in html
+
+
+def test_a_recording_tells_the_verdict_on_the_whole_run(tmp_path: Path):
+    stage = set_stage(setup_of("oscillator", nodes=3, steps=4))
+    file = tmp_path / "run.mcap"
+    recorder = McapRecorder(file, stage.rounds, stage.setup.time_step_s, stage.bus.frame_format)
+    drive(stage.setup, recorder, lambda _: None)
+    recorder.close()
+    source = RecordedSource(stage, file, "CHECK: too short; use more --steps")
+    while source.pace().state == "LOADING":
+        source.poll()
+    assert source.pace().detail == "4 steps; the whole run: CHECK: too short; use more --steps"
