@@ -238,7 +238,9 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
         run.await_line("oscillator: ")
         os.kill(read_network(tmp_path / "run").pids["2"], signal.SIGKILL)
         run.await_line("node 2 ended with signal 9; the others go on")
-        assert run.end(30)[0] == 0
+        code, said, _ = run.end(30)
+    # The others went on, but nobody asked to lose it.
+    assert code == 1 and said.startswith("FAILED node 2: lost from step")
     assert check_folder(tmp_path / "run") == 300
 
 

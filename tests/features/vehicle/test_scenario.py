@@ -208,7 +208,7 @@ def test_nodes_learn_only_if_they_are_told_to():
         ({"cluster": "demo"}, "--stretch 2"),
         ({"data": "/nowhere"}, "no such folder"),
         ({"car": "lada"}, "Valid names are bmw-320i"),
-        ({"process_noise": 0.0}, "--process-noise 0.0: must be above 0"),
+        ({"process_noise": 0.0}, "process_noise 0.0: must be above 0"),
         ({"car": "bmw-320i-soft", "manoeuvre": "double-lane-change"}, "spins out"),
         ({"data": "here", "car": "vw-vanagon"}, "--car vw-vanagon: of simulated drives"),
     ],
