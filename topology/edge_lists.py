@@ -87,9 +87,10 @@ def read_market(file: Path) -> ReadGraph:
         why = " ".join(str(error).split())
         raise ValueError(f"{file}: not Matrix Market ({why}); export the matrix again") from error
     given = csr_array(found)
-    if given.shape[0] != given.shape[1]:
+    height, width = nodes_of(given), nodes_of(given.T)
+    if height != width:
         raise ValueError(
-            f"{file}: a matrix of {given.shape[0]} rows and {given.shape[1]} columns; give a "
+            f"{file}: a matrix of {height} rows and {width} columns; give a "
             "square matrix with one row per node"
         )
     given.eliminate_zeros()

@@ -64,9 +64,8 @@ def read_network(file: str | Path, nodes: int | None = None, *, directed: bool =
     """Return the network of a file; of links that go one way if `directed`.
 
     Raises:
-        ValueError: if the file is missing, malformed, a matrix with one-way links unless
-            `directed`, or has another number of nodes than asked; the message names the file, the
-            line or element where there is one, and the cure.
+        ValueError: naming file, line or element, and cure. The file is missing, malformed, a matrix
+            with one-way links unless `directed`, or has another number of nodes than asked.
     """
     file = Path(file)
     found = _read(file)

@@ -1,4 +1,4 @@
-"""What a reader of graph files returns: numbers on links, and what the file says of its nodes."""
+"""Graphs as files have them: numbers on links, and names and positions of nodes."""
 
 from collections.abc import Iterable
 from enum import StrEnum

@@ -185,7 +185,7 @@ def test_a_directed_file_says_who_hears_whom(folder):
     )
 
 
-FIVE = networkx.Graph([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (1, 3)])
+FIVE: networkx.Graph = networkx.Graph([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (1, 3)])
 """The graph that each tool writes below."""
 
 
@@ -203,7 +203,7 @@ def node_link(edges: str):
 
 PANDAS = "\n".join([",a,b,c,d,e", *(
     ",".join([name, *map(str, row)])
-    for name, row in zip("abcde", networkx.to_numpy_array(FIVE, dtype=int), strict=True)
+    for name, row in zip("abcde", networkx.to_numpy_array(FIVE).astype(int), strict=True)
 )])  # fmt: skip
 TOOLS = {
     "networkx.graphml": lambda file: networkx.write_graphml(FIVE, file),
