@@ -98,13 +98,40 @@ def _pajek(text: str) -> networkx.Graph:
     if lines[found + 1 : found + 2] and lines[found + 1].startswith("*"):
         # Pajek lets names be left out, networkx does not.
         lines[found + 1 : found + 1] = [f'{k} "{k}"' for k in range(1, int(count[0]) + 1)]
-    graph = networkx.parse_pajek(lines)
+    graph = networkx.parse_pajek(_in_one_section(lines))
     if len(graph) != int(count[0]):
         raise ValueError(
             f"*Vertices says {count[0]}, and {len(graph)} names are in the file: each vertex needs "
             "a line with its number and a name of its own"
         )
     return graph
+
+
+def _in_one_section(lines: list[str]) -> list[str]:
+    """Pajek with each edge as two arcs where it has both, as networkx reads all links like those of
+    the first section.
+
+    Raises:
+        ValueError: lists of neighbours, which networkx takes for edges with weights.
+    """
+    headings = [line.split()[0].lower() for line in lines if line.startswith("*")]
+    for heading in headings:
+        if heading.endswith("list"):
+            raise ValueError(f"a section {heading} is not read; save links as *Arcs or *Edges")
+    if not {"*arcs", "*edges"} <= {*headings}:
+        return lines
+    kept: list[str] = []
+    arcs: list[str] = []
+    section = ""
+    for line in lines:
+        section = line.split()[0].lower() if line.startswith("*") else section
+        if section not in ("*arcs", "*edges"):
+            kept.append(line)
+        elif not line.startswith("*"):
+            one, other, *rest = line.split()
+            arcs.append(line)
+            arcs += [" ".join([other, one, *rest])] if section == "*edges" else []
+    return [*kept, "*Arcs", *arcs]
 
 
 def _node_link(text: str) -> networkx.Graph:

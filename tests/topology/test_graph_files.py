@@ -126,6 +126,7 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("loop.gml", "graph [ node [ id 4 ] edge [ source 4 target 4 ] ]", "node 4 is linked to"),
         ("none.net", "*Edges\n1 2\n", r"not Pajek \(it has no line '\*Vertices N'\)"),
         ("twice.net", '*Vertices 2\n1 "a"\n2 "a"\n', "Vertices says 2, and 1 names"),
+        ("lists.net", "*Vertices 3\n*Edgeslist\n1 2 3\n", r"\*edgeslist is not read; save links"),
         ("empty.json", "{}", "not node-link JSON .*'nodes' and 'links' at its top"),
         ("cut.json", '{"nodes": [', "not node-link JSON .*line 1"),
         (
@@ -287,6 +288,15 @@ def test_links_that_are_written_once_are_taken_both_ways_with_a_line(folder):
     assert one_way.adjacency.nnz == 1 and "both ways" not in "".join(one_way.notes)
     networkx.write_graphml(networkx.DiGraph([(0, 1), (1, 0), (1, 2)]), folder / "mixed.graphml")
     assert is_one_way(folder / "mixed.graphml")
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)], ids=["arcs first", "edges first"])
+def test_arcs_and_edges_of_pajek_keep_their_directions(folder, order):
+    sections = ["*Arcs\n1 2 1\n", "*Edges\n2 3 1\n"]
+    text = "*Vertices 3\n" + "".join(sections[k] for k in order)
+    network = read_network(write(folder, "mixed.net", text), directed=True)
+    expected = [[False, False, False], [True, False, True], [False, True, False]]
+    assert network.adjacency.toarray().tolist() == expected
 
 
 def test_weights_that_are_no_chances_are_said(folder):
