@@ -14,6 +14,7 @@ from concord.nodes.faults.losses import LinkState, LinkUp, chance
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup, key_of
+from concord.topology.choices import is_file_name
 from concord.topology.link_names import LinkPlan, parse_links
 from concord.topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
@@ -131,6 +132,29 @@ def network_of(
             "bernoulli:0.1"
         )
     return network, ()
+
+
+def graph_notes(scenario: Scenario) -> tuple[str, ...]:
+    """How the file of a scenario's graph was read and what of it is not used, a sentence each."""
+    # Only here: a process of the network reads no graph.
+    from concord.topology.graphs import build_network
+
+    name, links = scenario.network.graph, parse_links(scenario.network.links).kind
+    if not is_file_name(name) or links in ("switching", "moving"):
+        return ()
+    network = build_network(name, scenario.nodes, scenario.seed)
+    notes = list(network.notes)
+    file = name.partition(":")[2]
+    if network.delivery is not None and links != "measured":
+        notes.append(
+            f"{file}: the chances of delivery on its links are not used; --links measured uses them"
+        )
+    if network.positions is not None:
+        notes.append(
+            f"{file}: the positions of its nodes are not used, as the nodes of {scenario.name} "
+            "have those of its plant; `concord topology show` draws them"
+        )
+    return tuple(notes)
 
 
 def losses_of(

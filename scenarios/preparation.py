@@ -39,6 +39,7 @@ from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.bus import check_user_bus
 from concord.scenarios.user.values import is_source_name, source_of, value_of
+from concord.topology.choices import is_file_name
 from concord.topology.names import unknown_name
 
 
@@ -290,7 +291,7 @@ def _edges(scenario: Scenario, graph: str) -> str:
     from concord.topology.edge_text import edge_text
 
     require_static_links(scenario, f"set graph={graph}")
-    if is_source_name(graph) or graph.startswith("file:"):
+    if is_source_name(graph) or is_file_name(graph):
         raise ValueError(
             f"set graph={graph}: a network that runs reads no files; name a graph such as ring, or "
             "write edges:0-1;1-2"

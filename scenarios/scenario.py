@@ -19,6 +19,7 @@ from concord.scenarios.types.rules import (
     UserRule,
 )
 from concord.scenarios.types.schedules import FullSchedule
+from concord.topology.choices import is_file_name
 
 if TYPE_CHECKING:
     PlantChoice = SensedPlantChoice
@@ -150,6 +151,11 @@ def in_words(options: dict[str, Any]) -> dict[str, Any]:
 
         word, nodes = sized_edge_text(graph)
         plain = {"nodes": nodes, **plain, "graph": word}
+    if is_file_name(graph) and "nodes" not in plain:
+        from concord.topology.adjacency import nodes_of
+        from concord.topology.graphs import build_network
+
+        plain["nodes"] = nodes_of(build_network(graph, None, 0).adjacency)
     if placement is not None and not _is_drawing_or_sites(placement):
         from concord.plants.placement import site_text
 

@@ -11,6 +11,7 @@ from concord.nodes.rules.labelled.record_codec import Calibrated
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.links import graph_notes
 from concord.scenarios.rule_table.labelled import digest_of, latency_steps, window_of
 from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario import lossy_links
@@ -59,6 +60,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
     if definition_of(setup.scenario).wirings:
         return ()
     return (
+        *graph_notes(setup.scenario),
         *_idle_weights(setup),
         *_idle_filter(setup),
         *definition_of(setup.scenario).warnings(setup.scenario),

@@ -3,6 +3,8 @@
 Apart from the functions that make them, which bring scipy and networkx.
 """
 
+from typing import TypeGuard
+
 from concord.entries import entries
 
 # K stands for a number, PATH for a file of `graph_files`.
@@ -27,3 +29,8 @@ WEIGHTS = ("metropolis", "maximum-degree", "best-constant", "fastest-mixing", "e
 def graph_names() -> tuple[str, ...]:
     """Return the names of all graphs, those of entries last."""
     return (*_GRAPHS, *entries("GRAPHS"))
+
+
+def is_file_name(graph: object) -> TypeGuard[str]:
+    """Return whether a graph is a name that says a file of its own."""
+    return isinstance(graph, str) and graph.startswith(("file:", "directed:"))

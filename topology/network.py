@@ -16,13 +16,15 @@ class Network(NamedTuple):
 
     delivery: chance (links,) that a frame of who is heard reaches who hears, in the order of
     `links_of`; None where nothing is known. positions: (n, 2), None where there are none.
-    names: what its source calls the nodes, None for 0, 1, 2, ...
+    names: what its source calls the nodes, None for 0, 1, 2, ... notes: what a user must know of
+    how its file was read, a sentence each.
     """
 
     adjacency: Adjacency
     delivery: np.ndarray | None = None
     positions: np.ndarray | None = None
     names: tuple[str, ...] | None = None
+    notes: tuple[str, ...] = ()
 
 
 class GraphSource(NamedTuple):
@@ -55,7 +57,7 @@ def delivery_of(adjacency: Adjacency, given: csr_array) -> np.ndarray | None:
 
 def part_of(network: Network, kept: NDArray[np.intp]) -> Network:
     """Return the network of some of the nodes (m,), in their order."""
-    adjacency, delivery, positions, names = network
+    adjacency, delivery, positions, names, notes = network
     inner = adjacency[kept][:, kept]
     inner_delivery = None
     if delivery is not None:
@@ -67,4 +69,5 @@ def part_of(network: Network, kept: NDArray[np.intp]) -> Network:
         inner_delivery,
         None if positions is None else positions[kept],
         None if names is None else tuple(names[i] for i in kept),
+        notes,
     )

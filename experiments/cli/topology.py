@@ -13,7 +13,7 @@ from concord.experiments.user_errors import user_errors
 from concord.studies.progress import progress
 from concord.studies.topology.compare import ComparisonRow, compared
 from concord.studies.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
-from concord.studies.topology.subject import SubjectOptions, subject_of
+from concord.studies.topology.subject import Subject, SubjectOptions, subject_of
 from concord.topology.adjacency import nodes_of
 from concord.topology.graph_files import write_network
 
@@ -98,6 +98,7 @@ def generate(
             if not out.parent.is_dir():
                 raise ValueError(f"--out {out}: no such folder {out.parent}; make it first")
             subject = subject_of(source, options)
+            _tell(subject)
             write_network(out, subject.network)
         except OSError as error:
             raise ValueError(
@@ -135,12 +136,19 @@ def show(
 
     with user_errors():
         subject = subject_of(source, options)
+        _tell(subject)
         drawn = draw(subject, out, layout)
     text = f"{out}: {subject.name}, {drawn['nodes']} nodes, {drawn['placed']}"
     sys.stdout.write((msgspec.json.encode(drawn).decode() if json else text) + "\n")
 
 
 COMMANDS = {"show": show, "analyse": analyse, "compare": compare, "generate": generate}
+
+
+def _tell(subject: Subject) -> None:
+    """Write how the file of a graph was read, where a user must know."""
+    for note in subject.network.notes:
+        sys.stderr.write(f"{note}\n")
 
 
 def _loss_table(losses: list[NodeLoss]) -> Table:

@@ -66,6 +66,8 @@ class TopologyReport(msgspec.Struct, frozen=True):
     rounds_to_one_percent: int | None
     observability: Seen | None
     losses: list[NodeLoss]
+    notes: list[str] = []
+    """How the file of the graph was read, where a user must know."""
 
 
 def report_of(
@@ -87,6 +89,7 @@ def report_of(
         rounds_to(0.01, factor),
         seen,
         _losses(subject, suspects(subject, figures.cut_nodes, gramian), gramian, on_node),
+        list(subject.network.notes),
     )
 
 
@@ -181,6 +184,7 @@ def lines(report: TopologyReport) -> list[str]:
     text = [
         f"{report.graph}: {a.nodes} nodes, {a.links} {kind}, weights {report.weights}, links "
         f"{c.links}, seed {report.seed}",
+        *report.notes,
         _connection(a),
         f"degree {a.degree_min} to {a.degree_max}, {a.degree_mean:.3g} on average; diameter "
         + _diameter(a),
@@ -222,7 +226,11 @@ def _connection(a: Analysis) -> str:
     if len(a.components) == 1:
         return "strongly connected" if a.directed else "connected"
     pieces = f"not connected: {len(a.components)} parts"
-    return f"{pieces}, of which {a.weak_components} hang together by links that go one way"
+    if not a.directed:
+        return pieces
+    if a.weak_components == 1:
+        return f"{pieces}, joined only by links that go one way"
+    return f"{pieces}, or {a.weak_components} if links that go one way count both ways"
 
 
 def _convergence_lines(c: Convergence) -> list[str]:

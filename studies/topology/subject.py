@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from concord.entries import chosen, entries
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.links import link_up
+from concord.scenarios.links import graph_notes, link_up
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.setup import Setup
@@ -24,7 +24,7 @@ from concord.topology.adjacency import (
     union,
 )
 from concord.topology.analysis import require_connected
-from concord.topology.graph_files import read_network
+from concord.topology.graph_files import is_one_way
 from concord.topology.graphs import build_network
 from concord.topology.link_names import LinkPlan, parse_links
 from concord.topology.network import Network
@@ -133,10 +133,7 @@ def graph_name(source: str) -> str:
             "folder, a graph file, or the name of a graph"
         )
     if path.is_file():
-        directed = not is_symmetric(read_network(path, directed=True).adjacency)
-        # In a list each edge may stand for both directions: one-way lists are asked for by name.
-        listed = path.suffix in (".edges", ".edgelist", ".txt")
-        return f"directed:{source}" if directed and not listed else f"file:{source}"
+        return f"directed:{source}" if is_one_way(path) else f"file:{source}"
     if (path.suffix or len(path.parts) > 1) and ":" not in source:
         raise ValueError(
             f"{source}: there is no such file or folder; give a graph file, a folder of recorded "
@@ -176,7 +173,8 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     delivery: np.ndarray | None = None
     if setup.losses is not None:
         delivery = 1 - np.array([loss for losses in setup.losses for loss in losses])
-    network = Network(adjacency, delivery, None if positions is None else positions[:, :2])
+    places = None if positions is None else positions[:, :2]
+    network = Network(adjacency, delivery, places, notes=graph_notes(scenario))
     weights = from_per_node(setup.weights, neighbours)
     phases = _phases(setup, adjacency)
     return Subject(

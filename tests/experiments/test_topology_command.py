@@ -7,7 +7,7 @@ import pytest
 
 from concord.scenarios.observability import observability, rank
 from concord.studies.topology.convergence import convergence
-from concord.studies.topology.report import losses_of, suspects
+from concord.studies.topology.report import lines, losses_of, report_of, suspects
 from concord.studies.topology.subject import SubjectOptions, subject_of
 from concord.topology.analysis import analyse
 from concord.topology.graph_files import read_network
@@ -141,6 +141,23 @@ def test_a_generated_graph_is_read_back(answer, tmp_path: Path, suffix: str):
     assert network.adjacency.nnz == written["links"] == 48
     report = answer(f"analyse net{suffix}")
     assert report["analysis"]["links"] == 24
+
+
+def test_parts_without_a_way_between_them_are_only_counted(tmp_path: Path):
+    (tmp_path / "apart.edges").write_text("0 1\n2 3\n")
+    (tmp_path / "way.csv").write_text("0,1\n0,0\n")
+    apart, way = (
+        lines(report_of(subject_of(str(tmp_path / name), SubjectOptions()), 1))
+        for name in ("apart.edges", "way.csv")
+    )
+    assert "not connected: 2 parts" in apart
+    assert "not connected: 2 parts, joined only by links that go one way" in way
+
+
+def test_a_report_says_how_a_file_was_read(answer, tmp_path: Path):
+    (tmp_path / "lengths.edges").write_text("0 1 12.5\n1 2 3.5\n2 0 7\n")
+    report = answer("analyse lengths.edges")
+    assert len(report["notes"]) == 1 and "(3.5 to 12.5) are not used" in report["notes"][0]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg"])

@@ -34,16 +34,16 @@ NUMBERS = [
 GRAPH_FILES = {
     "two.edges": "0 1\n2 3\n",
     "three.edges": "0 1\n1 2\n",
-    "letters.edges": "0 one\n",
+    "columns.edges": "0 1\n1 2 3 4\n",
     "one_way.csv": "0,1,0,0\n0,0,1,0\n0,1,0,1\n0,0,1,0\n",
     "graph.dot": "graph {}\n",
 }
 GRAPHS = [
     ("two.edges", "2 pieces that cannot hear each other"),
     ("three.edges", "3 nodes, but 4 were asked for"),
-    ("letters.edges", "letters.edges:1"),
+    ("columns.edges", "columns.edges:2: 4 columns"),
     ("one_way.csv", "both ways"),
-    ("graph.dot", "rename it to end in one of"),
+    ("graph.dot", "export or convert it to one of"),
     ("missing.edges", "no such file"),
 ]
 

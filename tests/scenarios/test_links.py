@@ -9,6 +9,8 @@ from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.scenario_options import scenario_of
+from concord.scenarios.warnings import warnings_of
 from concord.topology.adjacency import neighbours_of
 from concord.topology.graphs import build_graph
 from tests.experiments.support import scenario, small
@@ -22,6 +24,27 @@ PLANS = {
     "with loss": {"links": "bernoulli:0.2", "loss": 0.2, "graph": "complete"},
     "in turns": {"links": "markov:0.2,0.4", "schedule": "hybrid", "occupancy": 0.5},
 }
+
+
+def test_a_file_decides_the_number_of_nodes(tmp_path):
+    file = tmp_path / "three.edges"
+    file.write_text("0 1\n1 2\n")
+    assert scenario_of("oscillator", graph=f"file:{file}").nodes == 3
+    with pytest.raises(ValueError, match=r"3 nodes, but 4 were asked for.*no --nodes"):
+        prepare(scenario_of("oscillator", graph=f"file:{file}", nodes=4))
+
+
+def test_a_run_says_what_of_a_file_is_not_used(tmp_path):
+    file = tmp_path / "placed.gml"
+    file.write_text(
+        "graph [ node [ id 0 Latitude 1 Longitude 2 ] node [ id 1 Latitude 1 Longitude 3 ] "
+        "edge [ source 0 target 1 weight 0.5 ] ]"
+    )
+    static = warnings_of(prepare(scenario_of("oscillator", graph=f"file:{file}")))
+    assert any("chances of delivery" in line and "--links measured" in line for line in static)
+    assert any("positions of its nodes are not used" in line for line in static)
+    measured = scenario_of("oscillator", graph=f"file:{file}", links="measured")
+    assert not any("chances" in line for line in warnings_of(prepare(measured)))
 
 
 @pytest.mark.parametrize("name", PLANS)

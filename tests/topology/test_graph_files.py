@@ -1,5 +1,7 @@
 """Graph files: what is written is read back, and every mistake is named with its line."""
 
+import json
+import re
 from pathlib import Path
 
 import networkx
@@ -7,14 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.io import mmwrite
 from scipy.sparse import csr_array
 
 from concord.topology.adjacency import Adjacency
-from concord.topology.graph_files import read_network, write_network
+from concord.topology.graph_files import is_one_way, read_network, write_network
 from concord.topology.graphs import path, ring
 from concord.topology.network import Network
 
 INTEL_LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab/connectivity.txt"
+CASES = Path(__file__).resolve().parents[3] / "shared/cases/network"
 SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
 
@@ -88,6 +92,7 @@ GRAPHML = (
     '<graphml xmlns="http://graphml.graphdrawing.org/xmlns">'
     '<graph edgedefault="{}">{}</graph></graphml>'
 )
+MARKET = "%%MatrixMarket matrix coordinate real {}\n% by hand\n{}"
 TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
 
 
@@ -98,12 +103,12 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("wide.edges", "0 1\n0 1 2 3\n", r"wide\.edges:2: 4 columns; give two"),
         ("cut.edges", "0 1 0.5\n2\n0 2\n", r"cut\.edges:3: 2 columns, but 3 .*give every link"),
         ("mixed.edges", "0 1\n0 2 0.5\n", r"mixed\.edges:2: 3 columns, but 2 on"),
-        ("word.edges", "# x\n0 one\n", r"word\.edges:2: 'one' is not a node; number"),
-        ("minus.edges", "0 -1\n", r"minus\.edges:1: '-1' is not a node"),
+        ("data.edges", "0 1 {weight}\n", r"data\.edges:1: '{weight}' is no data .*; write {}"),
+        ("short.edges", "source target len\n0 1 5\n1 2\n", r":3: 2 columns, but the header has 3"),
+        ("bare.csv", "source,target\n0,\n", r"bare\.csv:2: a node without a name; give every"),
+        ("utf16.txt", "0\0 1\0", r"utf16\.txt: not text in UTF-8; save"),
         ("quality.edges", "0 1 good\n", r"quality\.edges:1: 'good' is not a finite number"),
         ("lost.edges", "0 1 inf\n", r"lost\.edges:1: 'inf' is not a finite number"),
-        ("from_one.edges", "1 2\n2 3\n", "node 0 is missing below node 3; number .* from 0"),
-        ("huge.edges", "0 1\n1 99999999999\n", "node 2 is missing below node 99999999999"),
         ("empty.edges", "# nothing\n", "no nodes; give at least one"),
         ("empty.csv", "", "no nodes; give at least one"),
         ("ragged.csv", "0,1,0\n1,0\n0,1,0\n", r"ragged\.csv:2: 2 entries in a matrix of 3 rows"),
@@ -116,12 +121,24 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("broken.graphml", "<graphml>", "not GraphML .*export"),
         ("not.graphml", "0 1\n", "not GraphML"),
         ("loop.graphml", GRAPHML.format("undirected", TWO.format("a")), "node a is linked to its"),
+        ("graph.dot", "graph {}", r"unknown kind of graph file '\.dot'; export .* \.graphml"),
+        ("broken.gml", "graph [ node [ id 0 ] edge [ source 0 target 1 ] ]", "not GML .*target 1"),
+        ("loop.gml", "graph [ node [ id 4 ] edge [ source 4 target 4 ] ]", "node 4 is linked to"),
+        ("none.net", "*Edges\n1 2\n", r"not Pajek \(it has no line '\*Vertices N'\)"),
+        ("twice.net", '*Vertices 2\n1 "a"\n2 "a"\n', "Vertices says 2, and 1 names"),
+        ("lists.net", "*Vertices 3\n*Edgeslist\n1 2 3\n", r"\*edgeslist is not read; save links"),
+        ("empty.json", "{}", "not node-link JSON .*'nodes' and 'links' at its top"),
+        ("cut.json", '{"nodes": [', "not node-link JSON .*line 1"),
         (
-            "one_way.graphml",
-            GRAPHML.format("directed", TWO.format("b")),
-            "b hears a, but a does not",
+            "stranger.json",
+            '{"nodes": [{"id": 0}], "links": [{"source": 0, "target": 1}]}',
+            "1 entries in 'nodes', but the links name 2 nodes",
         ),
-        ("graph.dot", "graph {}", r"unknown kind of graph file '\.dot'; rename .*\.graphml"),
+        ("bare.mtx", "3 3 1\n1 2 1\n", r"not Matrix Market .*Line 1"),
+        ("flat.mtx", MARKET.format("general", "2 3 1\n1 2 1\n"), "2 rows and 3 columns; give"),
+        ("loop.mtx", MARKET.format("general", "2 2 1\n2 2 1\n"), r"entry \(2, 2\): node 2 is"),
+        ("minus.mtx", MARKET.format("symmetric", "2 2 1\n2 1 -1\n"), "'-1.0' is not a finite"),
+        ("way.mtx", MARKET.format("general", "2 2 1\n1 2 1\n"), "0 hears 1, .*directed:.*way.mtx"),
     ],
 )
 def test_a_mistake_in_a_file_is_named_with_its_place_and_cure(folder, name, text, message):
@@ -167,3 +184,159 @@ def test_a_directed_file_says_who_hears_whom(folder):
         read_network(folder / "one_way.graphml", directed=True).adjacency.toarray().tolist()
         == expected
     )
+
+
+FIVE: networkx.Graph = networkx.Graph([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (1, 3)])
+"""The graph that each tool writes below."""
+
+
+def lines_of(form: str, first: int = 0) -> str:
+    return "".join(form.format(a + first, b + first) + "\n" for a, b in FIVE.edges)
+
+
+def by_hand(text: str):
+    return lambda file: file.write_text(text)
+
+
+def node_link(edges: str):
+    return lambda file: file.write_text(json.dumps(networkx.node_link_data(FIVE, edges=edges)))
+
+
+PANDAS = "\n".join([",a,b,c,d,e", *(
+    ",".join([name, *map(str, row)])
+    for name, row in zip("abcde", networkx.to_numpy_array(FIVE).astype(int), strict=True)
+)])  # fmt: skip
+TOOLS = {
+    "networkx.graphml": lambda file: networkx.write_graphml(FIVE, file),
+    "yed.graphml": lambda file: networkx.write_graphml(networkx.DiGraph(FIVE.edges), file),
+    "networkx.gml": lambda file: networkx.write_gml(FIVE, file),
+    "parallel.gml": by_hand(
+        "graph [\n"
+        + "".join(f'node [ id {n} label "same" ]\n' for n in range(5))
+        + 2 * lines_of("edge [ source {} target {} ]")
+        + "]\n"
+    ),
+    "networkx.gexf": lambda file: networkx.write_gexf(FIVE, file),
+    "networkx.net": lambda file: networkx.write_pajek(FIVE, file),
+    "pajek.net": by_hand(
+        "% Pajek\n*Vertices 5\n"
+        + "".join(f'{n} "v{n}"\n' for n in range(1, 6))
+        + "*Edges\n"
+        + lines_of("{} {} 1", 1)
+    ),
+    "nameless.net": by_hand("*Vertices 5\n*Edges\n" + lines_of("{} {}", 1)),
+    "networkx.json": node_link("edges"),
+    "d3.json": node_link("links"),
+    "scipy.mtx": lambda file: mmwrite(file, networkx.to_scipy_sparse_array(FIVE)),
+    "array.mtx": lambda file: mmwrite(file, networkx.to_numpy_array(FIVE)),
+    "networkx.edgelist": lambda file: networkx.write_edgelist(FIVE, file),
+    "weighted.edgelist": by_hand(lines_of("{} {} {{'weight': 1.0, 'color': '#fff'}}")),
+    "pandas.csv": by_hand("source,target\n" + lines_of("{},{}")),
+    "gephi.csv": by_hand("Source;Target;Type;Id\n" + lines_of("{};{};Undirected;7")),
+    "own_header.tsv": by_hand("Knoten A\tKnoten B\n" + lines_of("{}\t{}")),
+    "snap.txt": by_hand("# Directed graph\n# FromNodeId\tToNodeId\n" + lines_of("{}\t{}", 20)),
+    "konect.txt": by_hand("% sym unweighted\n" + lines_of("{} {}", 1)),
+    "names.edges": by_hand(lines_of("n{} n{}")),
+    "bare.csv": by_hand(lines_of("{},{}")),
+    "numpy.txt": lambda file: np.savetxt(file, networkx.to_numpy_array(FIVE)),
+    "numpy.csv": lambda file: np.savetxt(file, networkx.to_numpy_array(FIVE), delimiter=","),
+    "named_matrix.csv": by_hand(PANDAS),
+}
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_each_tool_writes_the_same_graph(folder, name):
+    TOOLS[name](folder / name)
+    network = read_network(folder / name)
+    # Names in the order of their first edge: 0, 1, 4, 2, 3 as `FIVE.edges` lists them.
+    order = [0, 1, 4, 2, 3] if name == "names.edges" else range(5)
+    expected = networkx.to_numpy_array(FIVE, nodelist=order) > 0
+    assert (network.adjacency.toarray() == expected).all()
+    assert network.delivery is None and "not used" not in "".join(network.notes)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".txt", ".mtx"])
+def test_three_nodes_may_be_a_matrix(folder, suffix):
+    matrix = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]])
+    file = folder / f"three{suffix}"
+    if suffix == ".mtx":
+        mmwrite(file, csr_array(matrix))
+    else:
+        np.savetxt(file, matrix, fmt="%d", delimiter="," if suffix == ".csv" else " ")
+    assert same(read_graph(file), path(3))
+    links = write(folder, f"links{file.suffix}", "0 1 0.5\n1 2 0.25\n2 3 1\n".replace(" ", ","))
+    if suffix != ".mtx":
+        assert same(read_graph(links), path(4))
+
+
+def test_other_names_are_numbered_and_that_is_said(folder):
+    network = read_network(write(folder, "snap.edges", "30 4\n4 -7\n"))
+    assert network.names == ("-7", "4", "30") and same(network.adjacency, path(3))
+    assert "numbered in order, from 0 for -7 to 2 for 30" in network.notes[0]
+    assert read_network(write(folder, "plain.edges", "0 1\n")).notes == ()
+
+
+def test_links_that_are_written_once_are_taken_both_ways_with_a_line(folder):
+    file = write(folder, "once.graphml", GRAPHML.format("directed", TWO.format("b")))
+    network = read_network(file)
+    assert same(network.adjacency, path(2)) and not is_one_way(file)
+    assert (
+        "1 of its 1 directed edges have no opposite and are taken both ways; directed:"
+        in (network.notes[-1])
+    )
+    one_way = read_network(file, directed=True)
+    assert one_way.adjacency.nnz == 1 and "both ways" not in "".join(one_way.notes)
+    networkx.write_graphml(networkx.DiGraph([(0, 1), (1, 0), (1, 2)]), folder / "mixed.graphml")
+    assert is_one_way(folder / "mixed.graphml")
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)], ids=["arcs first", "edges first"])
+def test_arcs_and_edges_of_pajek_keep_their_directions(folder, order):
+    sections = ["*Arcs\n1 2 1\n", "*Edges\n2 3 1\n"]
+    text = "*Vertices 3\n" + "".join(sections[k] for k in order)
+    network = read_network(write(folder, "mixed.net", text), directed=True)
+    expected = [[False, False, False], [True, False, True], [False, True, False]]
+    assert network.adjacency.toarray().tolist() == expected
+
+
+def test_weights_that_are_no_chances_are_said(folder):
+    network = read_network(write(folder, "lengths.edges", "0 1 12.5\n1 2 3.5\n"))
+    assert "numbers on its links (3.5 to 12.5) are not used" in network.notes[0]
+    text = 'graph [ node [ id 0 ] node [ id 1 ] edge [ source 0 target 1 weight "wide" ] ]'
+    assert (
+        "weights of its edges are not used: 'wide'"
+        in (read_network(write(folder, "wide.gml", text)).notes[0])
+    )
+    chances = read_network(write(folder, "chances.csv", "from,to,km,weight\n0,1,9,.5\n"))
+    assert chances.delivery is not None and chances.delivery.tolist() == [0.5, 0.5]
+    assert chances.notes[0].endswith("its columns km are not read")
+
+
+def test_latitude_and_longitude_are_places_in_metres(folder):
+    text = 'node [ id {0} label "{1}" Longitude {2} Latitude {3} ]'
+    nodes = [text.format(0, "Delft", 4.0, 52.0), text.format(1, "Bonn", 4.1, 52.1)]
+    network = read_network(write(folder, "zoo.gml", f"graph [ {' '.join(nodes)} ]"))
+    assert network.names == ("Delft", "Bonn") and network.positions is not None
+    # A degree of a great circle is 111.195 km; that of a parallel at 52.05 degrees is 68.382 km.
+    np.testing.assert_allclose(np.diff(network.positions, axis=0), [[6838.2, 11119.5]], rtol=1e-4)
+    nodes.append('node [ id 2 label "Satellite" ]')
+    network = read_network(write(folder, "part.gml", f"graph [ {' '.join(nodes)} ]"))
+    assert network.positions is None
+    assert "1 of 3 nodes have no longitude and latitude" in network.notes[0]
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="no ../shared/cases/network to read")
+@pytest.mark.parametrize(
+    ("name", "graph", "note"),
+    [
+        ("yed_directed.graphml", path(3), "2 of its 2 directed edges .* taken both ways"),
+        ("small.gml", path(2), "^$"),
+        ("pajek.net", path(3), "from 0 for a to 2 for c"),
+        ("weights.edgelist", ring(3), r"\(3.5 to 12.5\) are not used"),
+        ("two_parts.graphml", csr_array(np.kron(np.eye(2), 1 - np.eye(2)) > 0), "^$"),
+    ],
+)
+def test_the_files_that_users_brought_are_read(name, graph, note):
+    network = read_network(CASES / name)
+    assert same(network.adjacency, graph)
+    assert re.search(note, "\n".join(network.notes))
