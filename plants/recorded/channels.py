@@ -126,9 +126,10 @@ def grid_over(
         at_s = read[through][0]
         start_s = at_s + time_step_s * _nearest(start_s - at_s, time_step_s)
     if (end_s - start_s) / time_step_s > MOST_STEPS:
+        last = max(read, key=lambda name: read[name][-1])
         raise ValueError(
-            f"readings from {start_s:.15g} to {end_s:.15g} s, a gap of {end_s - start_s:.6g} s, "
-            f"are more than {MOST_STEPS:,} steps of {time_step_s:g} s; correct the unit of the "
+            f"{last} has the time {end_s:.15g} s, a gap of {end_s - start_s:.6g} s to the first "
+            f"reading at {start_s:.15g} s, which is more than {MOST_STEPS:,} steps of {time_step_s:g} s; correct the unit of the "
             "time, or cut the log"
         )
     return SamplingInstants(

@@ -143,7 +143,7 @@ def test_what_is_wrong_is_named_with_its_cure(fault: str, tmp_path: Path):
 
 def test_a_span_of_too_many_steps_is_refused_before_it_is_allocated():
     two = ChannelReadings(np.array([0.0, 1e9]), np.zeros(2))
-    with pytest.raises(ValueError, match=r"from 0 to 1000000000 s, a gap of 1e\+09 s, are more"):
+    with pytest.raises(ValueError, match=r"speed has the time 1000000000 s, a gap of 1e\+09 s"):
         grid_over({"speed": two}, 0.005)
     slow = ChannelReadings(7200.0 * np.arange(3), np.zeros(3))
     assert grid_over({"level": slow}, 7200.0) == SamplingInstants(0.0, 7200.0, 3)
