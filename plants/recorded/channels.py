@@ -129,8 +129,8 @@ def grid_over(
         last = max(read, key=lambda name: read[name][-1])
         raise ValueError(
             f"{last} has the time {end_s:.15g} s, a gap of {end_s - start_s:.6g} s to the first "
-            f"reading at {start_s:.15g} s, which is more than {MOST_STEPS:,} steps of {time_step_s:g} s; correct the unit of the "
-            "time, or cut the log"
+            f"reading at {start_s:.15g} s, which is more than {MOST_STEPS:,} steps of "
+            f"{time_step_s:g} s; correct the unit of the time, or cut the log"
         )
     return SamplingInstants(
         float(start_s), time_step_s, _nearest(end_s - start_s, time_step_s).item() + 1

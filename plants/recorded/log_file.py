@@ -1,4 +1,4 @@
-"""What every reader of a log file offers: series of numbers by name, and their stamps."""
+"""Interface of the readers of log files: series of numbers by name, and their stamps."""
 
 import sys
 from abc import ABC, abstractmethod
