@@ -86,7 +86,11 @@ def _while_files_stay(read: Callable[[str], T]) -> Callable[[str], T]:
 
 @_while_files_stay
 def _logged(data: str) -> DrivenOnce:
-    return replayed(*read_log(data), TIME_STEP_S)
+    log = read_log(data)
+    try:
+        return replayed(*log, TIME_STEP_S)
+    except ValueError as error:
+        raise ValueError(f"{data}: {error}") from None
 
 
 @cache

@@ -6,13 +6,16 @@ is therefore off by at most d T / 2 at steps T apart, and by d T / sqrt(12) RMS 
 anywhere.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 GAP_SPACINGS = 5.0
 """Median spacings of a channel; a longer interval between two readings is a gap."""
+STRAY_S, STRAY_SPACINGS = 3600.0, 1000.0
+"""A longer interval, in seconds and in median spacings, is an error of the clock."""
+MOST_STEPS = 10_000_000
 _ROUNDING = 1e-6  # of a step: a stamp and an instant that lie so near are the same
 
 
@@ -46,26 +49,51 @@ class SamplingInstants(NamedTuple):
         return self.start_s + self.time_step_s * np.arange(self.steps)
 
 
-def channel_of(stamps_s: np.ndarray, values: np.ndarray) -> ChannelReadings:
+def _numbered(row: int) -> str:
+    return f"reading {row + 1}"
+
+
+def channel_of(
+    stamps_s: np.ndarray, values: np.ndarray, place: Callable[[int], str] = _numbered
+) -> ChannelReadings:
     """Return the channel of rows (n,), sorted by their stamps; a NaN value is no reading.
 
+    Equal readings of one stamp are one.
+
+    Args:
+        stamps_s: (n,).
+        values: (n,), in SI.
+        place: how an error names a row.
+
     Raises:
-        ValueError: a reading without a stamp, or two readings with one stamp.
+        ValueError: a reading without a stamp, two readings of one stamp, or a stamp that is hours
+            from all others.
     """
-    read = np.isfinite(values)
-    stamps_s, values = stamps_s[read], values[read]
-    if not np.isfinite(stamps_s).all():
-        number = int(np.flatnonzero(~np.isfinite(stamps_s))[0]) + 1
-        raise ValueError(f"reading {number} has no time; give it one, or remove it")
-    order = np.argsort(stamps_s, kind="stable")
-    stamps_s, values = stamps_s[order], values[order]
-    repeated = np.flatnonzero(np.diff(stamps_s) == 0)
+    rows = np.flatnonzero(np.isfinite(values))
+    unstamped = rows[~np.isfinite(stamps_s[rows])]
+    if len(unstamped):
+        raise ValueError(f"{place(int(unstamped[0]))} has no time; give it one, or remove it")
+    rows = rows[np.argsort(stamps_s[rows], kind="stable")]
+    again = (np.diff(stamps_s[rows]) == 0) & (np.diff(values[rows]) == 0)
+    rows = rows[np.append(True, ~again)] if len(rows) else rows
+    spacings_s = np.diff(stamps_s[rows])
+    repeated = np.flatnonzero(spacings_s == 0)
     if len(repeated):
+        first, second = (place(int(row)) for row in rows[repeated[0] :][:2])
         raise ValueError(
-            f"two readings have the time {stamps_s[repeated[0]]:.15g} s, but a reading counts "
-            "once; drop repeated lines"
+            f"{first} and {second} have the time {stamps_s[rows[repeated[0]]]:.15g} s and other "
+            "values, but a reading counts once; drop repeated lines"
         )
-    return ChannelReadings(stamps_s, values)
+    if len(spacings_s):
+        usual_s = float(np.percentile(spacings_s, 50, method="lower"))
+        far = int(np.argmax(spacings_s))
+        if spacings_s[far] > max(STRAY_S, STRAY_SPACINGS * usual_s):
+            raise ValueError(
+                f"{place(int(rows[far + 1]))} has the time {stamps_s[rows[far + 1]]:.15g} s, "
+                f"{spacings_s[far]:.6g} s after the one before ({place(int(rows[far]))}); remove "
+                "the stray stamp, or cut the log there and read one part"
+            )
+    return ChannelReadings(stamps_s[rows], values[rows])
 
 
 def readings_between(
@@ -88,12 +116,22 @@ def grid_over(
     """Return the instants from the first reading of all channels to the last.
 
     One of them is the first reading of the channel `through`, or of all channels.
+
+    Raises:
+        ValueError: more than `MOST_STEPS` instants.
     """
     read = {name: one.stamps_s for name, one in channels.items() if len(one.values)}
     start_s, end_s = min(one[0] for one in read.values()), max(one[-1] for one in read.values())
     if through in read:
         at_s = read[through][0]
         start_s = at_s + time_step_s * _nearest(start_s - at_s, time_step_s)
+    if (end_s - start_s) / time_step_s > MOST_STEPS:
+        last = max(read, key=lambda name: read[name][-1])
+        raise ValueError(
+            f"{last} has the time {end_s:.15g} s, a gap of {end_s - start_s:.6g} s to the first "
+            f"reading at {start_s:.15g} s, which is more than {MOST_STEPS:,} steps of "
+            f"{time_step_s:g} s; correct the unit of the time, or cut the log"
+        )
     return SamplingInstants(
         float(start_s), time_step_s, _nearest(end_s - start_s, time_step_s).item() + 1
     )

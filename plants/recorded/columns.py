@@ -1,58 +1,37 @@
 """Which series of which log file is which quantity, in which unit and with which stamps."""
 
-import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import msgspec
 import numpy as np
 
 from concord.plants.recorded.channels import ChannelReadings, channel_of
-from concord.plants.recorded.log_files import LogFile, open_log
+from concord.plants.recorded.log_file import LogFile, say
+from concord.plants.recorded.log_files import open_log
+from concord.plants.recorded.units import ALIKE, UNITS
 
 Map = TypeVar("Map", bound="LogMap")
-
-UNITS = {
-    "s": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
-    "m": 1.0,
-    "rad": 1.0,
-    "deg": math.pi / 180,
-    "rad/s": 1.0,
-    "deg/s": math.pi / 180,
-    "m/s": 1.0,
-    "km/h": 1 / 3.6,
-    "mph": 0.44704,
-    "kn": 1852 / 3600,
-    "m/s2": 1.0,
-    "g": 9.81,
-}
-"""Factor from a unit to SI."""
-_ALIKE = (
-    ("s", "ms", "us", "ns"), ("m",), ("rad", "deg"), ("rad/s", "deg/s"),
-    ("m/s", "km/h", "mph", "kn"), ("m/s2", "g"),
-)  # fmt: skip
-"""Units of one quantity, that of SI first."""
 
 
 class Stamps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A series of a file: what is meant is scale * (number in SI) + offset.
 
     A sensor whose axes point the other way has scale = -1.
+
+    Attributes:
+        column: name of the series.
+        unit: of its numbers; None for the one that the file gives.
+        scale: without a unit.
+        offset: in SI.
     """
 
     column: str
-    unit: str
+    unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
-
-    def in_si(self, raw: np.ndarray) -> np.ndarray:
-        """Return what numbers of the file mean."""
-        return self.scale * UNITS[self.unit] * raw + self.offset
 
 
 class Column(Stamps, frozen=True, forbid_unknown_fields=True):
@@ -105,9 +84,8 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
         raise ValueError(f"the column map is not valid: {error}") from error
     times = {f"time of {name}": column.time for name, column in columns.columns.items()}
     for quantity, series in {"time": columns.time, **times, **columns.columns}.items():
-        wanted = "s" if quantity.startswith("time") else kind.si_units.get(quantity)
-        alike = next((some for some in _ALIKE if some[0] == wanted), tuple(UNITS))
-        if series is not None and series.unit not in alike:
+        alike = _units_of(quantity, kind.si_units)
+        if series is not None and series.unit not in (None, *alike):
             raise ValueError(
                 f"the column map gives {quantity} in {series.unit!r}; units are {', '.join(alike)}"
             )
@@ -127,21 +105,31 @@ def read_channels(
     Raises:
         ValueError: naming file and cure, for what is missing or cannot be read.
     """
-    files: dict[str, LogFile] = {}
+    files: dict[Path, LogFile] = {}
     channels = {}
+    notes: dict[tuple[Path, str], list[str]] = {}
     for quantity, column in columns.items():
-        name = column.file or default.file
-        if name not in files:
-            files[name] = open_log(Path(folder) / name)
+        path = Path(folder) / (column.file or default.file)
+        if path not in files:
+            files[path] = open_log(path)
+            if unread := files[path].unread:
+                say(f"{path}: skipped what cannot be decoded: {', '.join(unread)}")
         try:
-            channels[quantity] = _channel(files[name], quantity, column, default)
+            channels[quantity], happened = _channel(files[path], quantity, column, default)
         except ValueError as error:
-            raise ValueError(f"{Path(folder) / name}: {error}") from None
+            raise ValueError(f"{path}: {error}") from None
+        for note in happened:
+            notes.setdefault((path, note), []).append(quantity)
+    for (path, note), quantities in notes.items():
+        say(f"{path}: {note} ({', '.join(quantities)})")
     return channels
 
 
-def _channel(file: LogFile, quantity: str, column: Column, default: LogMap) -> ChannelReadings:
-    values = column.in_si(_series(file, quantity, column.column))
+def _channel(
+    file: LogFile, quantity: str, column: Column, default: LogMap
+) -> tuple[ChannelReadings, list[str]]:
+    """Return the channel of a column, and what was mended in it."""
+    values = _in_si(file, quantity, column, default)
     stamps_s = file.stamps_s(column.column) if column.time is None else None
     if stamps_s is None:
         time = column.time or default.time
@@ -150,20 +138,49 @@ def _channel(file: LogFile, quantity: str, column: Column, default: LogMap) -> C
                 f"no time for {quantity}; name the column of its stamps in the column map: "
                 'time = { column = "...", unit = "s" }'
             )
-        stamps_s = time.in_si(_series(file, f"time of {quantity}", time.column))
+        stamps_s = _in_si(file, f"time of {quantity}", time, default)
     if len(stamps_s) != len(values):
         raise ValueError(
             f"{column.column!r} for {quantity} has {len(values)} entries, but {len(stamps_s)} "
             "stamps; name its own stamps as its time"
         )
     try:
-        return channel_of(stamps_s - column.delay_s, values)
+        channel = channel_of(stamps_s - column.delay_s, values, file.place)
     except ValueError as error:
         raise ValueError(f"{column.column!r} for {quantity}: {error}") from None
+    read = np.isfinite(values)
+    repeated = int(read.sum()) - len(channel.values)
+    early = int((np.diff(stamps_s[read]) < 0).sum())
+    notes = [f"{repeated} equal readings of one stamp came again, and count once"] * (repeated > 0)
+    sorted_by = f"{early} readings have an earlier stamp than the one before; sorted by stamps"
+    return channel, notes + [sorted_by] * (early > 0)
 
 
-def _series(file: LogFile, quantity: str, name: str) -> Any:
-    if name not in file.names:
+def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.ndarray:
+    """Return what the numbers of a series mean.
+
+    Raises:
+        ValueError: no such series, an entry is no number, or file and map give no unit, or two.
+    """
+    if one.column not in file.names:
         there = ", ".join(file.names) or "none, for the file is empty"
-        raise ValueError(f"no column {name!r} for {quantity}; there are {there}")
-    return file.series(name)
+        lost = f" (cannot be decoded: {', '.join(file.unread)})" if file.unread else ""
+        raise ValueError(f"no column {one.column!r} for {quantity}; there are {there}{lost}")
+    told, alike = file.unit(one.column), _units_of(quantity, default.si_units)
+    unit = one.unit or told
+    if unit is None or unit not in alike:
+        raise ValueError(
+            f"{one.column!r} for {quantity} has the unit {unit or 'of no line'}; give the column "
+            f"map one of {', '.join(alike)}, and leave it empty in the file or write the same"
+        )
+    if told not in (None, unit):
+        raise ValueError(
+            f"{one.column!r} for {quantity} is in {told} by the file, but in {unit} by the column "
+            f'map; write unit = "{told}" in the map, or correct the file'
+        )
+    return one.scale * UNITS[unit] * file.series(one.column) + one.offset
+
+
+def _units_of(quantity: str, si_units: Mapping[str, str]) -> tuple[str, ...]:
+    wanted = "s" if quantity.startswith("time") else si_units.get(quantity)
+    return next((some for some in ALIKE if some[0] == wanted), tuple(UNITS))

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from concord.plants.recorded.log_file import LogFile
+
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-class DatasetFile:
+class DatasetFile(LogFile):
     """Variables of one dimension each; a coordinate of that dimension stamps them.
 
     The coordinate holds dates (`datetime64`), or numbers with the attribute `units`: s, ms, us or

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from concord.plants.recorded.log_file import LogFile
 
-class ULogFile:
+
+class ULogFile(LogFile):
     """Fields of the logged messages, `sensor_combined.gyro_rad[2]`, stamped by their `timestamp`.
 
     The number of an instance other than the first follows the name: `vehicle_imu:1.delta_angle[0]`.

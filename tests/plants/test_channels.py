@@ -107,7 +107,7 @@ def test_an_empty_channel_says_nothing():
     ("stamps", "values", "says"),
     [
         ([0.0, np.nan, 1.0], [1.0, 2.0, 3.0], "reading 2 has no time"),
-        ([0.0, 1.0, 1.0], [1.0, 2.0, 2.0], "two readings have the time 1 s"),
+        ([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], "reading 2 and reading 3 have the time 1 s"),
     ],
 )
 def test_a_reading_without_a_time_of_its_own_is_refused(stamps, values, says):

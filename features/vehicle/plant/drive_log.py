@@ -22,7 +22,7 @@ from concord.plants.recorded.channels import (
     mean_by_step,
 )
 from concord.plants.recorded.columns import Column, LogMap, map_from_toml, read_channels
-from concord.plants.recorded.log_files import text_of
+from concord.plants.recorded.text_files import text_of
 
 _LONGEST_SPACING_S = 2.0
 _JUDGED_READINGS, _ALIKE = 50, 0.8

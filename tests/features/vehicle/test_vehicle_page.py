@@ -13,7 +13,7 @@ from concord.features.vehicle.plant.drive_log import ColumnMap, columns_from_tom
 from concord.features.vehicle.plant.manoeuvres import MANOEUVRES
 from concord.features.vehicle.plant.network import NODES
 from concord.features.vehicle.plant.parameters import ProcessNoise, SensorSheets, car_from_toml
-from concord.plants.recorded.columns import UNITS
+from concord.plants.recorded.units import UNITS
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 pytestmark = pytest.mark.slow
