@@ -18,7 +18,7 @@ from concord.scenarios.types.rules import (
     FusionRule,
     UserRule,
 )
-from concord.scenarios.types.schedules import FullSchedule
+from concord.scenarios.types.schedules import DynamicSchedule, FullSchedule
 from concord.topology.choices import is_file_name
 
 if TYPE_CHECKING:
@@ -171,23 +171,25 @@ def _is_drawing_or_sites(placement: object) -> bool:
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:
-    """Choose the schedule of a slot table or an occupancy: full for 1, the usual one of the bus for
-    less where the scenario has the full one."""
+    """Choose the schedule of a slot table, an occupancy or another bus: full for an occupancy of 1,
+    the usual one of the bus for a part where the scenario has the full or the dynamic one."""
     if "slots" in options and "schedule" not in options:
         return {**options, "schedule": "written"}
-    asked = options.get("occupancy")
-    if asked is None or isinstance(options.get("bus"), msgspec.Struct):
+    bus, schedule, asked = (options.get(name) for name in ("bus", "schedule", "occupancy"))
+    if isinstance(bus, msgspec.Struct) or schedule not in (None, "full"):
         return options
-    schedule = options.get("schedule")
-    if asked == 1 and (schedule is None or schedule == "full"):
+    if asked == 1:
         rest = {name: value for name, value in options.items() if name != "occupancy"}
         return {**rest, "schedule": "full"}
-    if schedule is not None or not isinstance(scenario.bus.schedule, FullSchedule):
-        return options
-    # A part of the bus is a wish for a schedule that can give it.
-    asked_bus = options.get("bus", scenario.bus.name)
-    usual = bus_type(asked_bus if isinstance(asked_bus, str) else "").partial_schedule
-    return {**options, "schedule": usual}
+    is_full = isinstance(scenario.bus.schedule, FullSchedule)
+    is_other_bus = bus not in (None, scenario.bus.name) and isinstance(
+        scenario.bus.schedule, DynamicSchedule
+    )
+    if schedule is None and (is_other_bus or (is_full and asked is not None)):
+        # A part of the bus is a wish for a schedule that can give it.
+        usual = bus_type(bus if isinstance(bus, str) else scenario.bus.name).partial_schedule
+        return {**options, "schedule": usual}
+    return options
 
 
 def lossy_links(scenario: Scenario) -> str:

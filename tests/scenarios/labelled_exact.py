@@ -22,10 +22,11 @@ from concord.scenarios.setup import Setup
 from tests.nodes.record_search import Held, reachable, winners_of
 
 # Every record is everywhere before its step is over.
+_TRACKING: dict[str, Any] = {"scenario": "target-tracking", "nodes": 8, "schedule": "full"}
 FULL_INFORMATION: tuple[dict[str, Any], ...] = (
-    {"scenario": "target-tracking", "nodes": 8, "graph": "complete", "rounds": 1},
-    {"scenario": "target-tracking", "nodes": 8, "graph": "path", "rounds": 7},
-    {"scenario": "target-tracking", "nodes": 8, "graph": "ring", "rounds": 4, "relay": True},
+    {**_TRACKING, "graph": "complete", "rounds": 1},
+    {**_TRACKING, "graph": "path", "rounds": 7},
+    {**_TRACKING, "graph": "ring", "rounds": 4, "relay": True},
     {"scenario": "meng2025-network", "graph": "complete", "rounds": 1},
     {"scenario": "oscillator", "nodes": 5, "graph": "star", "rounds": 2},
     {"scenario": "dc-motor-position", "graph": "complete", "rounds": 1, "stretch": 2.0},
