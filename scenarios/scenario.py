@@ -171,8 +171,10 @@ def _is_drawing_or_sites(placement: object) -> bool:
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:
-    """Choose the schedule of a slot table, an occupancy or another bus: full for an occupancy of 1,
-    the usual one of the bus for a part where the scenario has the full or the dynamic one."""
+    """Choose the schedule of a slot table, an occupancy or another bus.
+
+    An occupancy of 1 is the full one. A part of another bus, or of the full schedule, is the usual
+    one of the bus."""
     if "slots" in options and "schedule" not in options:
         return {**options, "schedule": "written"}
     bus, schedule, asked = (options.get(name) for name in ("bus", "schedule", "occupancy"))

@@ -33,7 +33,7 @@ class Row(NamedTuple):
     fields: list[str]
 
 
-class Columns(NamedTuple):
+class EdgeColumns(NamedTuple):
     """The columns of an edge's ends and number, with all columns a row has by the header."""
 
     sender: int = 0
@@ -251,23 +251,23 @@ def _edge_list(rows: list[Row]) -> ReadGraph:
     return found
 
 
-def _header(rows: list[Row]) -> Columns:
+def _header(rows: list[Row]) -> EdgeColumns:
     """The columns by the names in the first row, if it has names.
 
     It has if it names sender and receiver, or if all ends below are numbers and its own are words.
     """
     names = [name.lower() for name in rows[0].fields] if rows else []
     if len(names) < 2:
-        return Columns()
+        return EdgeColumns()
     sender = next((names.index(name) for name in _SENDERS if name in names), None)
     receiver = next((names.index(name) for name in _RECEIVERS if name in names), None)
     if sender is None or receiver is None:
         ends = [end for row in rows[1:] for end in row.fields[:2]]
         if not ends or not all(map(_is_word, names[:2])) or any(map(_is_word, ends)):
-            return Columns()
+            return EdgeColumns()
         sender, receiver = 0, 1
     number = next((names.index(name) for name in _NUMBERS if name in names), None)
-    return Columns(sender, receiver, number, tuple(rows[0].fields))
+    return EdgeColumns(sender, receiver, number, tuple(rows[0].fields))
 
 
 def _label(field: str, where: str) -> str:
