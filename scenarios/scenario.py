@@ -119,7 +119,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         # Two bytes a number that nobody asked for give way to a filter that cannot have them.
         is_rounded = getattr(found.rule, "number", "") == "float16"
         if is_rounded and not found.filter.in_two_bytes and "number" not in words:
-            return assigned(found, {"number": "float32", **left})
+            return assigned(found, {"number": "float64", **left})
         return found, left
 
 

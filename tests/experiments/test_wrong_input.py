@@ -116,7 +116,7 @@ REFUSED = {
         ("analyse /tmp", "no folder of the Intel lab data"),
         ("compare ring rign", "unknown graph 'rign'"),
         ("compare ring --seeds 0", "--seeds 0: must be at least 1"),
-        ("generate ring --out ring.dot", "rename it to end in one of"),
+        ("generate ring --out ring.dot", "name it to end in one of"),
         ("generate ring --out nowhere/ring.csv", "no such folder"),
         ("show ring --out ring.gif", "a picture ends in .png, .svg, .pdf"),
         ("show ring --out ring.png --layout places", "has none; use auto"),
