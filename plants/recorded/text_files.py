@@ -2,8 +2,8 @@
 
 import csv
 import math
+import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ from concord.plants.recorded.log_file import LogFile
 from concord.plants.recorded.units import UNITS, unit_of
 
 _COMMENTS = ("#", "%")
+_ZONE = re.compile(r"(?<=:\d\d)(\.\d+)?\s*(?:Z|([+-])(\d\d):?(\d\d)?)$")
+"""The zone of an ISO 8601 date behind its seconds or minutes."""
 _MISSING = frozenset({"", "-", "nil", "na", "n/a", "nan", "null", "none"})
 
 
@@ -133,8 +135,12 @@ def _is_dated(texts: Sequence[str]) -> bool:
 
 
 def _seconds(text: str) -> float:
-    date = datetime.fromisoformat(text.strip())
-    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    text, ahead_s = text.strip(), 0
+    if zone := _ZONE.search(text):
+        fraction, sign, hours, minutes = zone.groups()
+        text = text[: zone.start()] + (fraction or "")
+        ahead_s = int(f"{sign or ''}1") * (3600 * int(hours or 0) + 60 * int(minutes or 0))
+    return np.datetime64(text, "ns").astype(np.int64) / 1e9 - ahead_s
 
 
 def text_of(file: Path) -> str:
