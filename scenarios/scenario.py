@@ -174,7 +174,8 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
     """Choose the schedule of a slot table, an occupancy or another bus.
 
     An occupancy of 1 is the full one. A part of another bus, or of the full schedule, is the usual
-    one of the bus."""
+    one of the bus.
+    """
     if "slots" in options and "schedule" not in options:
         return {**options, "schedule": "written"}
     bus, schedule, asked = (options.get(name) for name in ("bus", "schedule", "occupancy"))
@@ -183,14 +184,15 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
     if asked == 1:
         rest = {name: value for name, value in options.items() if name != "occupancy"}
         return {**rest, "schedule": "full"}
-    is_full = isinstance(scenario.bus.schedule, FullSchedule)
-    is_other_bus = bus not in (None, scenario.bus.name) and isinstance(
-        scenario.bus.schedule, DynamicSchedule
-    )
-    if schedule is None and (is_other_bus or (is_full and asked is not None)):
+    before, wish = scenario.bus.schedule, {"occupancy": asked} if asked is not None else {}
+    if bus not in (None, scenario.bus.name) and isinstance(before, DynamicSchedule):
+        wish = {"occupancy": before.occupancy, **wish}
+    elif not isinstance(before, FullSchedule):
+        return options
+    if schedule is None and wish:
         # A part of the bus is a wish for a schedule that can give it.
         usual = bus_type(bus if isinstance(bus, str) else scenario.bus.name).partial_schedule
-        return {**options, "schedule": usual}
+        return {**options, **wish, "schedule": usual}
     return options
 
 

@@ -192,6 +192,8 @@ def test_the_dashboard_draws_a_cycle_to_scale(bus: str):
 def test_an_occupancy_alone_takes_the_usual_schedule_of_the_bus(bus: str, schedule: str, rule: str):
     asked: dict = {"bus": bus, "rule": rule, "occupancy": 0.25}
     assert scenario_of("target-tracking", **asked).bus.schedule.name == schedule
+    alone = scenario_of("target-tracking", bus=bus, rule=rule)
+    assert (alone.bus.schedule.name, alone.bus.schedule.occupancy) == (schedule, 0.25)  # type: ignore[attr-defined]
     hybrid = scenario_of("target-tracking", **asked, schedule="hybrid")
     assert hybrid.bus.schedule.name == "hybrid"
 
