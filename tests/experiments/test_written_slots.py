@@ -87,7 +87,8 @@ def test_mistakes_are_one_sentence(arguments, said: str, tmp_path: Path, capsys)
 
 def test_a_bus_that_does_not_fit_hands_no_table_back(tmp_path: Path, capsys):
     path = tmp_path / "slots.toml"
-    asked = ("--scenario", "target-tracking", "--nodes", 20, "--cluster", "audi")
+    full = ("--schedule", "full", "--number", "float64")
+    asked = ("--scenario", "target-tracking", "--nodes", 20, *full, "--cluster", "audi")
     assert "does not fit" in refused(concord(capsys, "flexray", "plan", *asked, "--out", path))
     assert not path.exists()
 
