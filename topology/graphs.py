@@ -17,7 +17,6 @@ from concord.entries import chosen, entries
 from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
 from concord.topology.choices import graph_names
 from concord.topology.edge_text import read_edge_text
-from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
 from concord.topology.names import unknown_name
 from concord.topology.network import GraphSource, Network
 from concord.topology.random_graphs import (
@@ -172,6 +171,9 @@ def build_network(
 def _geometric(
     nodes: int, seed: int, positions: NDArray[np.float64] | None, radius: float | None
 ) -> Network:
+    # Only here: other graphs need no places.
+    from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
+
     if positions is None:
         reach = connecting_radius(nodes) if radius is None else radius
         drawn = scatter(nodes, seed, reach)

@@ -15,7 +15,8 @@ from concord.topology.analysis import (
     require_connected,
     rounds_to,
 )
-from concord.topology.graphs import build_graph, complete, geometric, grid, path, ring, star
+from concord.topology.geometric_graphs import geometric
+from concord.topology.graphs import build_graph, complete, grid, path, ring, star
 from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 from concord.topology.weights import best_constant, maximum_degree, metropolis
 
