@@ -114,7 +114,6 @@ def network_of(
     """
     # Only here: a process of the network is handed the graph and need not know how to draw it.
     from concord.topology.adjacency import union
-    from concord.topology.geometric_graphs import geometric
     from concord.topology.network import Network
 
     plan = parse_links(scenario.network.links)
@@ -122,6 +121,8 @@ def network_of(
         graphs = tuple(build(name).adjacency for name in plan.graphs)
         return Network(union(graphs)), graphs
     if plan.kind == "moving":
+        from concord.topology.geometric_graphs import geometric
+
         reach, there = plan.numbers[0], places(scenario, plan)
         return Network(union([geometric(place, reach) for place in there])), ()
     network = build(scenario.network.graph)

@@ -11,18 +11,17 @@ from hypothesis import strategies as st
 from concord.entries import entries
 from concord.topology import graphs
 from concord.topology.choices import graph_names
+from concord.topology.geometric_graphs import geometric, scatter
 from concord.topology.graphs import (
     build_graph,
     complete,
     erdos_renyi,
-    geometric,
     grid,
     near_square,
     path,
     regular,
     ring,
     scale_free,
-    scatter,
     small_world,
     star,
 )
