@@ -19,7 +19,20 @@ from tests.processes import PATIENCE_S, PROC, Family, family, holds_within, live
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = ["--scenario", "target-tracking", "--nodes", "4", "--seed", "3"]
+NETWORK = [
+    "--scenario",
+    "target-tracking",
+    "--nodes",
+    "4",
+    "--seed",
+    "3",
+    "--rule",
+    "ci",
+    "--number",
+    "float64",
+    "--schedule",
+    "full",
+]
 
 
 @pytest.fixture

@@ -23,7 +23,22 @@ from tests.processes import CONCORD, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = ["--scenario", "target-tracking", "--nodes", "8", "--steps", "20000", "--seed", "3"]
+NETWORK = [
+    "--scenario",
+    "target-tracking",
+    "--nodes",
+    "8",
+    "--steps",
+    "20000",
+    "--seed",
+    "3",
+    "--rule",
+    "ci",
+    "--number",
+    "float64",
+    "--schedule",
+    "full",
+]
 STEPS_PER_S = 8.0
 
 

@@ -15,7 +15,22 @@ from tests.processes import CONCORD, PATIENCE_S, family, holds_within
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = ["--scenario", "target-tracking", "--nodes", "4", "--steps", "20000", "--seed", "3"]
+NETWORK = [
+    "--scenario",
+    "target-tracking",
+    "--nodes",
+    "4",
+    "--steps",
+    "20000",
+    "--seed",
+    "3",
+    "--rule",
+    "ci",
+    "--number",
+    "float64",
+    "--schedule",
+    "full",
+]
 
 
 @pytest.fixture(scope="module")

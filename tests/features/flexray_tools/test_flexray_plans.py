@@ -33,11 +33,15 @@ from tests.experiments.test_bus_report import SMALL
 
 pytestmark = pytest.mark.slow
 
-ASKED = ("flexray", "plan", "--scenario", "target-tracking", "--nodes", 20, "--cluster", "audi")
+_SHARES = ("--rule", "ci", "--number", "float64")
+ASKED = (
+    "flexray", "plan", "--scenario", "target-tracking", "--nodes", 20, *_SHARES, "--cluster", "audi"
+)  # fmt: skip
+WHOLE = (*ASKED, "--schedule", "full")
 
 
 def test_what_does_not_fit_is_said_and_the_most_that_does_is_shown(capsys):
-    said = concord(capsys, *ASKED, "--json")
+    said = concord(capsys, *WHOLE, "--json")
     answer = said.json()
     assert said.code == 0
     # A share of 5 + 15 float64 takes 7 frames of 34 bytes; 20 nodes need 140 of the 51 slots.
@@ -51,7 +55,7 @@ def test_what_does_not_fit_is_said_and_the_most_that_does_is_shown(capsys):
 
 
 def test_the_plan_reads_as_a_table(capsys):
-    said = concord(capsys, *ASKED)
+    said = concord(capsys, *WHOLE)
     assert said.code == 0
     text = said.out
     asked, wrong, shown = (text.index(w) for w in ("asked for", "does not fit", "shown below"))
@@ -62,9 +66,9 @@ def test_the_plan_reads_as_a_table(capsys):
 
 def test_a_long_slot_table_is_cut_for_people_alone(capsys, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("concord.features.flexray_tools.commands.plans.MOST_PRINTED_ROWS", 4)
-    rows = concord(capsys, *ASKED, "--json").json()["shown"]["slots"]
+    rows = concord(capsys, *WHOLE, "--json").json()["shown"]["slots"]
     assert len(rows) > 4
-    text = concord(capsys, *ASKED).out
+    text = concord(capsys, *WHOLE).out
     assert f"{len(rows) - 4} more rows of the slot table; --json has them all" in text
     assert len(re.findall(r"(?m)^ *\d+ │ (?:static|dynamic)", text)) == 4
 
@@ -107,7 +111,7 @@ def test_the_price_of_urgency_classes_is_told(capsys):
 def test_a_crowded_dynamic_segment_is_admitted(capsys):
     # A frame takes 21 minislots, and each of 156 empty IDs takes one; frames begin by the 225th.
     for arbiter, room in (("minislot", 11), ("urgency", 4)):
-        asked = (*ASKED, "--schedule", "dynamic", "--arbiter", arbiter)
+        asked = (*ASKED, "--schedule", "dynamic", "--occupancy", 1, "--arbiter", arbiter)
         answer = concord(capsys, *asked, "--json").json()
         shown = answer["shown"]
         assert answer["problem"] is None
@@ -127,7 +131,7 @@ def test_cycles_longer_than_the_step_are_said_to_be(capsys):
 def test_a_cluster_too_small_for_one_share_is_refused(tmp_path, capsys):
     path = tmp_path / "small.toml"
     path.write_text(cluster_to_toml(SMALL))
-    said = concord(capsys, "flexray", "plan", "--cluster", path)
+    said = concord(capsys, "flexray", "plan", *_SHARES, "--schedule", "full", "--cluster", path)
     assert "static slots" in refused(said)
 
 
@@ -214,7 +218,7 @@ def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float,
         {},
         optional={
             "nodes": st.integers(2, 40),
-            "graph": st.sampled_from(["ring", "4-regular", "file:my edges.txt"]),
+            "graph": st.sampled_from(["ring", "4-regular", "edges:0>1;1>0"]),
             "occupancy": st.floats(0.01, 1.0),
             "schedule": st.sampled_from(["hybrid", "dynamic", "round-robin"]),
             "cluster": st.sampled_from(["audi", "my clusters/a.toml"]),
