@@ -173,8 +173,8 @@ def _fields(line: str, separator: str | None, where: str) -> list[str]:
     if not brace:
         return fields
     try:
-        data = ast.literal_eval(brace + rest)
-    except (ValueError, SyntaxError):
+        data = dict(ast.literal_eval(brace + rest))
+    except (ValueError, TypeError, SyntaxError):
         raise ValueError(
             f"{where}: {brace + rest!r} is no data of an edge as networkx writes it; write {{}} or "
             "leave it out"
@@ -187,9 +187,9 @@ def _fields(line: str, separator: str | None, where: str) -> list[str]:
 def _is_matrix(file: Path, rows: list[Row]) -> bool:
     size, widths = len(rows), {len(row.fields) for row in rows}
     is_csv = file.suffix.lower() == ".csv"
-    if not rows:
+    first = rows[0].fields if rows else []
+    if not first:
         return is_csv
-    first = rows[0].fields
     if len(first) > 1 and not first[0]:
         return True  # The corner above the names of rows is empty.
     if is_csv and (_is_word(first[0]) or (widths <= {1, 2, 3} and size > max(widths))):

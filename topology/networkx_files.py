@@ -33,7 +33,7 @@ def read_networkx(file: Path) -> ReadGraph:
     try:
         graph = read(file.read_text(encoding="utf-8-sig", errors="replace"))
     except (ElementTree.ParseError, networkx.NetworkXException, ValueError, LookupError,
-            TypeError, AttributeError, RuntimeError) as error:  # fmt: skip
+            TypeError, AttributeError, RuntimeError, StopIteration) as error:  # fmt: skip
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{file}: not {name} ({why}); export the graph again") from error
     ids = {node: str(node) for node in graph}

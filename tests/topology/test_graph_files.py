@@ -2,12 +2,13 @@
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import networkx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.io import mmwrite
 from scipy.sparse import csr_array
@@ -104,6 +105,7 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("cut.edges", "0 1 0.5\n2\n0 2\n", r"cut\.edges:3: 2 columns, but 3 .*give every link"),
         ("mixed.edges", "0 1\n0 2 0.5\n", r"mixed\.edges:2: 3 columns, but 2 on"),
         ("data.edges", "0 1 {weight}\n", r"data\.edges:1: '{weight}' is no data .*; write {}"),
+        ("set.edges", "0 1 {'weight'}\n", r"set\.edges:1: .* is no data .*; write {}"),
         ("short.edges", "source target len\n0 1 5\n1 2\n", r":3: 2 columns, but the header has 3"),
         ("bare.csv", "source,target\n0,\n", r"bare\.csv:2: a node without a name; give every"),
         ("utf16.txt", "0\0 1\0", r"utf16\.txt: not text in UTF-8; save"),
@@ -156,6 +158,26 @@ def test_the_bad_line_of_the_intel_lab_is_found():
     )
     with pytest.raises(ValueError, match=rf"connectivity\.txt:{bad}: 2 columns, but 3"):
         read_graph(INTEL_LAB)
+
+
+PARTS = (
+    "{", "}", "{'weight'}", "1", "2", "a", ",", ";", "\t", " ", "\n", "#", "%", '"', "1e400",
+    "[", "]", "graph [ node [ id 0 ] ]", "*Vertices 2", "*Arcs", "null", "\0",
+    '{"nodes": [], "links": 3}', "<graphml>", "%%MatrixMarket matrix coordinate real general\n", "source target",
+)  # fmt: skip
+
+
+@given(
+    st.lists(st.sampled_from(PARTS), max_size=14).map("".join),
+    st.sampled_from([*SUFFIXES, ".mtx", ".gml", ".gexf", ".net", ".json"]),
+)
+@settings(deadline=None, max_examples=300)
+@example("{}", ".csv")
+@example("*Vertices 2\n1 2", ".net")
+@example("0 1 {'weight'}", ".edges")
+def test_any_text_is_a_graph_or_refused_in_a_sentence(folder, text, suffix):
+    with suppress(ValueError):
+        read_network(write(folder, f"any{suffix}", text))
 
 
 def test_a_missing_file_and_a_wrong_number_of_nodes_are_named(folder):
