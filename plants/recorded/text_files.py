@@ -13,8 +13,10 @@ from concord.plants.recorded.log_file import LogFile
 from concord.plants.recorded.units import UNITS, unit_of
 
 _COMMENTS = ("#", "%")
-_ZONE = re.compile(r"(?<=:\d\d)(\.\d+)?\s*(?:Z|([+-])(\d\d):?(\d\d)?)$")
-"""The zone of an ISO 8601 date behind its seconds or minutes."""
+_DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?)?)\s*(?:Z|([+-])(\d\d):?(\d\d)?)?"
+)
+"""An ISO 8601 date; sign, hours and minutes of its zone."""
 _MISSING = frozenset({"", "-", "nil", "na", "n/a", "nan", "null", "none"})
 
 
@@ -135,12 +137,12 @@ def _is_dated(texts: Sequence[str]) -> bool:
 
 
 def _seconds(text: str) -> float:
-    text, ahead_s = text.strip(), 0
-    if zone := _ZONE.search(text):
-        fraction, sign, hours, minutes = zone.groups()
-        text = text[: zone.start()] + (fraction or "")
-        ahead_s = int(f"{sign or ''}1") * (3600 * int(hours or 0) + 60 * int(minutes or 0))
-    return np.datetime64(text, "ns").astype(np.int64) / 1e9 - ahead_s
+    found = _DATE.fullmatch(text.strip())
+    if found is None:
+        raise ValueError("no ISO 8601 date")
+    moment, sign, hours, minutes = found.groups()
+    ahead_s = int(f"{sign or ''}1") * (3600 * int(hours or 0) + 60 * int(minutes or 0))
+    return np.datetime64(moment, "ns").astype(np.int64) / 1e9 - ahead_s
 
 
 def text_of(file: Path) -> str:

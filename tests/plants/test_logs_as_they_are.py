@@ -117,6 +117,8 @@ REFUSED = {
     "a word below comments": ("# a\n" + PLAIN.replace("-0.2", "fast"), MAP, "csv: line 4: field 2"),
     "not a date": (DATED.format(*"   ") + "noon,1,1\n", MAP,
                    "line 5: field 1 (time) is 'noon', which is not an ISO 8601 date"),
+    "a date of the clock": (DATED.format(*"   ") + "now,1,1\n", MAP,
+                            "line 5: field 1 (time) is 'now', which is not an ISO 8601 date"),
     "two kinds of decimals": ("time;yaw_rate;speed\n0;0,1;1\n1;0.2;1\n", MAP,
                               "line 2: field 2 (yaw_rate) is '0,1', which is not a number"),
     "a short line": (HEAD + FIRST + "0.01,1\n", MAP,
