@@ -15,6 +15,13 @@ from concord.scenarios.setup import Setup
 Messages = list[tuple[str, bytes]]
 
 
+EVERY_SHARE = {"rule": "ci", "number": "float64", "schedule": "full"}
+"""Options with which every node sends a whole belief in every cycle."""
+TARGET_IN_WORDS = ["--scenario", "target-tracking"] + [
+    word for name, value in EVERY_SHARE.items() for word in (f"--{name}", value)
+]
+
+
 def setup_of(name: str, **changes) -> Setup:
     """A scenario with its own defaults but for these changes, worked out.
 
@@ -22,7 +29,7 @@ def setup_of(name: str, **changes) -> Setup:
     """
     usual = definition_named(name).defaults
     if name.startswith("target-") and usual.rule.name == "sharp-ci":
-        usual = usual.with_(rule="ci", number="float64", schedule="full")
+        usual = usual.with_(**EVERY_SHARE)
     return prepare(usual.with_(**changes))
 
 

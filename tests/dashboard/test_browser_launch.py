@@ -15,24 +15,12 @@ from concord.runtime.network.network_file import read_network
 from concord.runtime.recording import read_recording
 from tests.dashboard.browser_page import press_on, row_of, slot_of
 from tests.dashboard.browser_tab import new_tab
+from tests.dashboard.runs import TARGET_IN_WORDS
 from tests.processes import PATIENCE_S, PROC, Family, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = [
-    "--scenario",
-    "target-tracking",
-    "--nodes",
-    "4",
-    "--seed",
-    "3",
-    "--rule",
-    "ci",
-    "--number",
-    "float64",
-    "--schedule",
-    "full",
-]
+NETWORK = [*TARGET_IN_WORDS, "--nodes", "4", "--seed", "3"]
 
 
 @pytest.fixture

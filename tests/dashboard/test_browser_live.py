@@ -19,26 +19,12 @@ from concord.runtime.network.control_client import Client
 from concord.runtime.network.network_file import read_network
 from concord.scenarios.types.schedules import occupancy_of
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
+from tests.dashboard.runs import TARGET_IN_WORDS
 from tests.processes import CONCORD, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = [
-    "--scenario",
-    "target-tracking",
-    "--nodes",
-    "8",
-    "--steps",
-    "20000",
-    "--seed",
-    "3",
-    "--rule",
-    "ci",
-    "--number",
-    "float64",
-    "--schedule",
-    "full",
-]
+NETWORK = [*TARGET_IN_WORDS, "--nodes", "8", "--steps", "20000", "--seed", "3"]
 STEPS_PER_S = 8.0
 
 

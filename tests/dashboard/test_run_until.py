@@ -11,26 +11,12 @@ from concord.dashboard.frames.live import LiveNetwork
 from concord.dashboard.seeking.breakpoint import QUANTITIES, read_breakpoint
 from concord.dashboard.serve import open_network
 from concord.runtime.network.network_file import read_network
+from tests.dashboard.runs import TARGET_IN_WORDS
 from tests.processes import CONCORD, PATIENCE_S, family, holds_within
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = [
-    "--scenario",
-    "target-tracking",
-    "--nodes",
-    "4",
-    "--steps",
-    "20000",
-    "--seed",
-    "3",
-    "--rule",
-    "ci",
-    "--number",
-    "float64",
-    "--schedule",
-    "full",
-]
+NETWORK = [*TARGET_IN_WORDS, "--nodes", "4", "--steps", "20000", "--seed", "3"]
 
 
 @pytest.fixture(scope="module")
