@@ -130,7 +130,8 @@ def draw_errors(axes: Axes, film: Film, step: int) -> None:
 def main() -> None:
     """Write docs/network.gif."""
     use_house_style()
-    options = {"nodes": 20, "seed": 7, "schedule": "hybrid", "occupancy": 0.5, "steps": STEPS}
+    network = {"nodes": 20, "rule": "ci", "number": "float64", "schedule": "hybrid"}
+    options = {**network, "seed": 7, "occupancy": 0.5, "steps": STEPS}
     setup = prepare(scenario_of(**options))
     film = film_of(setup)
     figure, panels = plt.subplots(1, 3, figsize=(11.5, 4.1), dpi=80, layout="constrained")

@@ -69,6 +69,7 @@ def draw_sweep() -> None:
         nodes=20,
         graph=["geometric", "ring", "complete"],
         rule=["ci", "wac", "hcmci"],
+        number="float64",
         occupancy=[1.0, 0.5, 0.25, 0.1],
         runs=50,
     )
@@ -77,7 +78,7 @@ def draw_sweep() -> None:
 
 def main() -> None:
     """Write docs/network.png and docs/sweep.png."""
-    setup = prepare(scenario_of(nodes=20, seed=7))
+    setup = prepare(scenario_of(nodes=20, rule="ci", number="float64", schedule="full", seed=7))
     trace = read_trace(setup, in_memory(setup))
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained")
     draw_map(left, setup, trace)

@@ -116,7 +116,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """
         words = _with_schedule(self, in_words(options))
         found, left = assigned(self, words)
-        # Two bytes a number that nobody asked for give way to a filter that cannot have them.
+        # Two bytes a number by default give way to a filter that cannot have them.
         is_rounded = getattr(found.rule, "number", "") == "float16"
         if is_rounded and not found.filter.in_two_bytes and "number" not in words:
             return assigned(found, {"number": "float64", **left})
