@@ -163,7 +163,8 @@ def test_the_bad_line_of_the_intel_lab_is_found():
 PARTS = (
     "{", "}", "{'weight'}", "1", "2", "a", ",", ";", "\t", " ", "\n", "#", "%", '"', "1e400",
     "[", "]", "graph [ node [ id 0 ] ]", "*Vertices 2", "*Arcs", "null", "\0",
-    '{"nodes": [], "links": 3}', "<graphml>", "%%MatrixMarket matrix coordinate real general\n", "source target",
+    '{"nodes": [], "links": 3}', "<graphml>", "source target",
+    "%%MatrixMarket matrix coordinate real general\n",
 )  # fmt: skip
 
 
