@@ -14,8 +14,8 @@ from concord.nodes.faults.losses import LinkState, LinkUp, chance
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup, key_of
-from concord.topology.choices import is_file_name
 from concord.topology.link_names import LinkPlan, parse_links
+from concord.topology.names import is_file_name
 from concord.topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
 if TYPE_CHECKING:

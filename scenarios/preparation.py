@@ -39,8 +39,7 @@ from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.bus import check_user_bus
 from concord.scenarios.user.values import is_source_name, source_of, value_of
-from concord.topology.choices import is_file_name
-from concord.topology.names import unknown_name
+from concord.topology.names import is_file_name, unknown_name
 
 
 def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:

@@ -19,7 +19,7 @@ from concord.scenarios.types.rules import (
     UserRule,
 )
 from concord.scenarios.types.schedules import DynamicSchedule, FullSchedule
-from concord.topology.choices import is_file_name
+from concord.topology.names import is_file_name
 
 if TYPE_CHECKING:
     PlantChoice = SensedPlantChoice

@@ -29,8 +29,8 @@ from concord.scenarios.types.option import name_of
 from concord.scenarios.types.rules import UserRule
 from concord.studies.agree import first_difference
 from concord.studies.near_agreement import departures
-from concord.topology.choices import WEIGHTS, graph_names
 from concord.topology.link_names import EXAMPLES as LINK_EXAMPLES
+from concord.topology.names import WEIGHTS, graph_names
 from tests.experiments.support import scenario, trace_of
 
 STEPS, NODES = 6, 4

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from concord.entries import chosen, entries
 from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
-from concord.topology.choices import graph_names
 from concord.topology.edge_text import read_edge_text
-from concord.topology.names import unknown_name
+from concord.topology.names import graph_names, unknown_name
 from concord.topology.network import GraphSource, Network
 from concord.topology.random_graphs import (
     connecting_probability,

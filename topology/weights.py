@@ -23,8 +23,7 @@ from concord.topology.adjacency import (
     one_way_links,
 )
 from concord.topology.analysis import require_connected
-from concord.topology.choices import WEIGHTS
-from concord.topology.names import unknown_name
+from concord.topology.names import WEIGHTS, unknown_name
 from concord.topology.spectrum import laplacian_bounds
 
 Weights = csr_array

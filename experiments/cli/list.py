@@ -14,8 +14,8 @@ from concord.entries import entries, summaries
 from concord.experiments.standard_output import plain_console
 from concord.scenarios.bus_table.clusters import cluster_names
 from concord.scenarios.types.schedules import WrittenSchedule
-from concord.topology.choices import WEIGHTS, graph_names
 from concord.topology.link_names import NAMES as LINK_NAMES
+from concord.topology.names import WEIGHTS, graph_names
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from concord.entries import entries
 from concord.topology import graphs
-from concord.topology.choices import graph_names
 from concord.topology.geometric_graphs import geometric, scatter
 from concord.topology.graphs import (
     build_graph,
@@ -25,6 +24,7 @@ from concord.topology.graphs import (
     small_world,
     star,
 )
+from concord.topology.names import graph_names
 
 SIZES = st.integers(1, 30)
 SEEDS = st.integers(0, 2**32 - 1)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from concord.topology import weights as weights_by_name
-from concord.topology.choices import WEIGHTS
 from concord.topology.graphs import build_graph, complete, grid, path, ring, star
+from concord.topology.names import WEIGHTS
 from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 from concord.topology.weights import (
     best_constant,
