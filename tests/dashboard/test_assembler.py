@@ -214,16 +214,3 @@ def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
 def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
     run = run_of(name, steps=6, **changes)
     assert [frame.step for frame in run.frames] == list(range(6))
-
-
-def test_the_page_of_several_targets_shows_their_number_and_gospa():
-    run = run_of("target-swarm", nodes=4, targets=2, steps=5, rounds=2)
-    trace = read_trace(run.stage.setup, run.messages)
-    frames = run.frames
-    assert (run.stage.score.unit, run.stage.error_name, run.stage.place) == ("m", "GOSPA", ())
-    assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
-    off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
-    np.testing.assert_allclose([frame.scores.error for frame in frames], off)
-    assert trace.extra is not None
-    gospa_m = np.sqrt((trace.extra.distances() ** 2).mean(axis=1))
-    np.testing.assert_allclose([frame.scores.rmse for frame in frames], gospa_m)

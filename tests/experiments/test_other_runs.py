@@ -18,8 +18,7 @@ from concord.results.figures.figure_table import computed
 from concord.results.figures.run_frame import frame_of
 from concord.results.figures.run_view import RunView
 from concord.runtime.drivers import in_memory
-from concord.scenarios.catalogue import definition_named
-from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.preparation import setup_of_run
 from concord.studies.monte_carlo.simulate import simulate
 from concord.studies.priority import give_way
 from tests.dashboard.runs import setup_of
@@ -53,17 +52,7 @@ def test_what_is_told_is_found_by_time_and_unknown_steps_are_the_last():
     assert at.nees_high.tolist() == [told.nees_high[0], told.nees_high[7], told.nees_high[24]]
 
 
-def test_runs_of_what_was_recorded_once_are_no_band():
-    data = ROOT.parent / "shared" / "data" / "mrclam6"
-    if not data.is_dir():
-        pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
-    defaults = definition_named("mrclam").defaults
-    setup = prepare(defaults.with_(data=str(data), target=4, steps=30))
-    told = told_by(setup, 3)
-    assert told.nees_low == told.nees_high == [None] * 30
-
-
-def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
+def test_the_process_tells_what_it_found(monkeypatch: pytest.MonkeyPatch):
     # On a fully loaded machine a process of low priority may wait for minutes.
     monkeypatch.setattr(other_runs, "give_way", lambda *_: None)
     others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=True)
@@ -71,9 +60,6 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
     assert np.isnan(others(times).nees_low).all()
     assert holds_within(30.0, lambda: bool(np.isfinite(others(times).nees_low).all()))
     others.close()
-    set_valued = OtherRuns(setup_of("liu2021-network", steps=10), sparing=True)
-    assert np.isnan(set_valued(times).bound).all()
-    set_valued.close()
 
 
 def test_the_process_ends_with_whoever_asked():

@@ -18,14 +18,13 @@ from concord.scenarios.preparation import setup_of_run
 from concord.studies.monte_carlo.simulate import AGES, INNOVATIONS, READINGS, simulate
 from tests.experiments.command_support import Said, concord
 from tests.experiments.support import small, summary_of
+from tests.features.rows import rows_of_features
 
 RUNS = range(2, 5)
 SETUPS = {
     "tracking": small("target-tracking", nodes=5, steps=24, schedule="hybrid", occupancy=0.5),
-    "a controlled plant": small("dc-motor-speed", steps=12, loss=0.2),
-    "sets": small("liu2021-network", steps=4),
-    "several targets": small("target-swarm", targets=3, clutter=2, steps=10, rounds=2),
     "interacting models": small("target-tracking", steps=12, filter="imm"),
+    **{name: small(name, **rest) for name, rest in rows_of_features("SMALL_NETWORKS").items()},
 }
 
 

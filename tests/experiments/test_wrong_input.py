@@ -9,6 +9,7 @@ import pytest
 from concord.experiments.__main__ import main
 from concord.results.records.netcdf_file import RECORDING
 from tests.experiments.command_support import concord, refused
+from tests.features.rows import rows_of_features
 from tests.processes import PROC
 
 # By command, options and what is said of them.
@@ -51,61 +52,6 @@ REFUSED = {
         ),
         ("--driver realtime --cycle-stretch inf", "--cycle-stretch inf: must be at least 1"),
     ],
-    "run --scenario target-swarm": [
-        ("--detection 1", "--detection 1.0: must be in (0.001, 1); choose for example 0.9"),
-        ("--detection 0", "--detection 0.0: must be in (0.001, 1); choose for example 0.9"),
-        ("--clutter -1", "--clutter -1.0: must be in [0, 200]; choose for example 5"),
-        ("--clutter 201", "--clutter 201.0: must be in [0, 200]; choose for example 5"),
-        ("--targets 100000", "--targets 100000: must be 1 to 200"),
-        ("--targets 0", "--targets 0: must be 1 to 200"),
-        ("--merge-m -1", "--merge-m -1.0: must be 0 or more"),
-        ("--association nearst", "nearst"),
-        ("--payload-bytes 16 --loss 0.1", "raise --payload-bytes"),
-        ("--rule hcmci", "--rule hcmci: must be labelled"),
-        ("--rule track-ci --filter imm", "a share carries one belief a track"),
-        ("--filter ekf", "--filter ekf: must be ukf or imm"),
-        ("--withhold-below 0.1", "--withhold-below 0.1: must be 0: a record is a scan"),
-        ("--record-number float32", "--record-number float32: must be int16"),
-        ("--changes '5 set rounds=2'", "target-swarm has one rule and schedule of its own"),
-        ("--nodes 2 --placement -1", "placement -1: must be 0 or more"),
-    ],
-    "keys keys": [
-        ("", "--nodes is missing"),
-        ("--check", "no keys there"),
-        ("--nodes 2 --hosts a/b", "neither a host name"),
-    ],
-    "flexray design-turns --scenario target-tracking": [
-        ("--nodes 4 --graph complete --rule labelled --shares 4 --cluster audi", "not linear"),
-    ],
-    "flexray design-turns --scenario oscillator --nodes 4 --graph complete --rule labelled": [
-        ("--shares 1", "--cluster fitted: turns are static slots"),
-        ("--shares 99 --cluster audi", "use at most --shares"),
-        ("--shares 1 --longest 3 --cluster audi", "use 1, 2, 4"),
-        ("--shares 1 --longest 2 --cluster audi", "allow more slots or longer turns"),
-    ],
-    "flexray clocks audi": [
-        ("--nodes 1", "--nodes is 1, but must be from 2 to 2047"),
-        ("--cycles 0", "--cycles is 0, but must be from 1"),
-        ("--power-on-cycles nan", "--power-on-cycles is nan"),
-        ("--drift 1,2", "--drift has 2 numbers, but there are 20 nodes"),
-        ("--drift fast", "--drift is 'fast', but must be one number"),
-        ("--drift nan", "clocks deviate by -10000 to 10000 millionths"),
-        ("--liars 15", "audi' has 15 sync nodes; choose from 0 to 14"),
-        ("--out clocks.txt", "a picture ends in .png, .svg, .pdf"),
-        ("--out nowhere/clocks.png", "no such folder nowhere"),
-        ("--seed -1", "--seed is -1, but must be 0 or more"),
-    ],
-    "flexray plan": [
-        ("--nodes -1", "--nodes -1: must be at least 1"),
-        ("--bus ideal", "without time"),
-        ("--cluster /nowhere/c.toml", "No such file"),
-        ("--schedule full --occupancy 0.5", "belongs to --schedule round-robin"),
-    ],
-    "flexray show": [
-        ("--bus ideal", "without time"),
-        ("--cluster /nowhere/c.toml", "No such file"),
-        ("--schedule full --occupancy 0.5", "belongs to --schedule round-robin"),
-    ],
     "topology": [
         ("analyse rign", "unknown graph 'rign': did you mean 'ring'"),
         ("analyse", "which graph?"),
@@ -113,7 +59,6 @@ REFUSED = {
         ("analyse ring --links measured", "no chances of delivery"),
         ("analyse ring --links moving:100", "add --scenario"),
         ("analyse ring --weights metropolys", "did you mean 'metropolis'"),
-        ("analyse /tmp", "no folder of the Intel lab data"),
         ("compare ring rign", "unknown graph 'rign'"),
         ("compare ring --seeds 0", "--seeds 0: must be at least 1"),
         ("generate ring --out ring.dot", "name it to end in one of"),
@@ -124,6 +69,7 @@ REFUSED = {
         ("analyse nowhere/intel", "nowhere/intel: there is no such file or folder"),
     ],
 }
+TABLE = REFUSED | rows_of_features("REFUSED")
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +156,7 @@ def test_a_graph_file_of_no_possible_name_is_named(complaint):
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [(f"{command} {words}", says) for command, rows in REFUSED.items() for words, says in rows],
+    [(f"{command} {words}", says) for command, rows in TABLE.items() for words, says in rows],
 )
 def test_what_cannot_be_is_refused_in_one_line(complaint, arguments: str, says: str):
     assert says in complaint(arguments)
@@ -223,26 +169,8 @@ def test_a_design_that_cannot_be_kept_is_not_looked_for(complaint):
     assert f"--out {PROC}/design.json: cannot be written (" in said
 
 
-@pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify"])
-def test_a_drive_whose_car_is_none_is_named(complaint, home: Path, command: str):
-    (home / "drive").mkdir()
-    (home / "drive" / "car.toml").write_text("mass_kg = 'heavy'")
-    said = complaint(f"{command} --data drive")
-    assert said.startswith("concord: drive/car.toml: the car file is not valid: ")
-
-
-@pytest.mark.parametrize(
-    ("option", "of"),
-    [
-        ("--car bmw-320i", "--scenario vehicle-network"),
-        ("--manoeuvre serpentine", "--scenario vehicle-network"),
-        ("--static-slots 3", "--scenario meng2025-network or --schedule flexray"),
-        ("--target 4", "--scenario mrclam"),
-        ("--noise matched", "--scenario cruise-control"),
-        ("--control 0", "--scenario cruise-control"),
-    ],
-)
-@pytest.mark.parametrize("command", ["run", "agree", "sweep --runs 2 --out s.nc", "flexray plan"])
+@pytest.mark.parametrize(("option", "of"), rows_of_features("OPTIONS_OF_A_SCENARIO").items())
+@pytest.mark.parametrize("command", ["run", "agree", "sweep --runs 2 --out s.nc"])
 def test_an_option_of_another_scenario_is_not_ignored(
     complaint, command: str, option: str, of: str
 ):

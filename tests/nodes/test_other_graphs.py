@@ -105,7 +105,6 @@ def test_nodes_agree_on_the_edges_however_a_graph_is_named():
         ({}, "edges:0-1;1-2;2-3;3-4;4-5", "nodes 0 to 4"),
         ({}, "edges:0-1;1-2;2-3;3-4;4>0", "weights metropolis"),
         ({"links": "moving:400"}, "ring", "--links moving:400"),
-        ({"scenario": "target-swarm"}, "ring", "one rule and schedule of its own"),
     ],
 )
 def test_a_graph_that_cannot_be_is_refused_before_the_start(options: dict, graph: str, said: str):

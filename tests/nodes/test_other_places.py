@@ -158,7 +158,6 @@ def _places(of: Scenario) -> np.ndarray:
         ({"graph": "geometric"}, "4@5000/5000", "3 pieces"),
         ({"links": "moving:400"}, "4@500/400", "--links moving:400 brings its own graph"),
         ({"scenario": "oscillator"}, "1@0/0", "belongs to"),
-        ({"scenario": "target-swarm"}, "1@0/0", "one rule and schedule of its own"),
     ],
 )
 def test_places_that_cannot_be_are_refused_before_the_start(options: dict, asked: str, said: str):

@@ -54,7 +54,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "home"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    monkeypatch.delenv("CONCORD_MRCLAM", raising=False)
     return folder
 
 
@@ -156,54 +155,3 @@ def test_a_port_out_of_range_is_refused(complaint, port: int):
     message = complaint(f"{PROCESSES} --port {port}")
     assert f"--port {port}" in message
     assert "1024..65535" in message
-
-
-# --- recorded data -------------------------------------------------------------------------------
-
-
-def test_recorded_data_must_be_named(complaint):
-    message = complaint("--scenario mrclam --target 4")
-    assert "--data" in message
-    assert "CONCORD_MRCLAM" in message
-
-
-@pytest.fixture
-def damaged(mrclam_folder: Path, home: Path):
-    """A copy of the recording in which one file is changed, or gone."""
-
-    def copy(file: str, change) -> str:
-        folder = home / "data"
-        folder.mkdir()
-        for original in mrclam_folder.iterdir():
-            if original.name != file:
-                (folder / original.name).symlink_to(original)
-        content = change((mrclam_folder / file).read_bytes())
-        if content is not None:
-            (folder / file).write_bytes(content)
-        return "--scenario mrclam --data data --target 4"
-
-    return copy
-
-
-@pytest.mark.parametrize(
-    "file", ["Barcodes.dat", "Robot3_Measurement.dat", "Robot5_Groundtruth.dat"]
-)
-def test_a_truncated_file_is_named_with_its_line(complaint, damaged, file: str):
-    arguments = damaged(file, lambda content: content[: content.rstrip().rfind(b"\n") + 4])
-    message = complaint(arguments, keeps=("data",))
-    assert f"data/{file}:" in message
-    assert "cut off?" in message
-
-
-@pytest.mark.parametrize(
-    ("option", "says"),
-    [
-        ("--target 9", "no robot 9"),
-        ("--target 4 --nodes 7", "--nodes 7"),
-        ("--target 4 --steps 99999", "--steps 99999"),
-    ],
-)
-def test_what_a_recording_does_not_hold_cannot_be_asked_for(
-    complaint, mrclam_folder: Path, option: str, says: str
-):
-    assert says in complaint(f"--scenario mrclam --data {mrclam_folder} {option}")

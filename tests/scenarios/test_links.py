@@ -1,7 +1,5 @@
 """Links of a scenario: every driver loses the same frames, and the neighbours are the union."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,6 @@ from concord.topology.graphs import build_graph
 from tests.experiments.support import scenario, small
 from tests.test_batched_agreement import check_agreement
 
-LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 PLANS = {
     "bernoulli": {"links": "bernoulli:0.3", "graph": "ring"},
     "markov": {"links": "markov:0.2,0.4", "graph": "star"},
@@ -92,20 +89,6 @@ def test_runs_of_a_seed_have_links_of_their_own_on_one_network():
     assert link_state(roam).link_up(3, 0, 1) == link_state(again).link_up(3, 0, 1)  # type: ignore[misc]
 
 
-@pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
-def test_the_intel_lab_is_a_directed_lossy_network():
-    asked = scenario(
-        "oscillator", nodes=12, steps=5, graph=f"intel-lab:{LAB}", links="measured", loss=0.1,
-        stretch=100.0,
-    )  # fmt: skip
-    check_agreement(asked)
-    setup = prepare(asked)
-    losses = link_state(setup).losses
-    assert len(losses) == sum(map(len, setup.neighbours))
-    assert min(losses.values()) > 0.1 and max(losses.values()) <= 1 - 0.9 * 0.1 + 1e-12
-    assert any(losses[i, j] != losses[j, i] for i, j in losses)
-
-
 def test_chances_in_a_file_are_those_of_the_links(tmp_path):
     file = tmp_path / "lossy.edges"
     file.write_text("0 1 0.9\n1 0 0.25\n1 2 0.5\n2 3 1\n")
@@ -123,11 +106,9 @@ def test_chances_in_a_file_are_those_of_the_links(tmp_path):
         ({"links": "switching:ring,rign:3"}, "unknown graph 'rign': did you mean 'ring'"),
         ({"links": "bernoulli:0.1", "rule": "centralised", "graph": "complete", "rounds": 1},
          "centralised with --links bernoulli:0.1"),
-        ({"graph": "intel-lab"}, "intel-lab:FOLDER, or with"),
     ],
 )  # fmt: skip
-def test_links_that_cannot_be_are_refused(changes, message, monkeypatch):
-    monkeypatch.delenv("CONCORD_INTEL_LAB", raising=False)
+def test_links_that_cannot_be_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         small(**changes)
 

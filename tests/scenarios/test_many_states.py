@@ -13,8 +13,10 @@ from concord.scenarios.preparation import prepare, share_bytes
 from concord.scenarios.rule_table.labelled import share_limits
 from concord.scenarios.scenario import Scenario
 from concord.studies.monte_carlo.simulate import simulate
+from tests.features.rows import rows_of_features
 
 STATES = (4, 10, 30, 60)
+TOO_SHORT = rows_of_features("BUSES_OF_SHORT_SHARES")
 
 
 def many(states: int, channels: int = 2, **options: object) -> Scenario:
@@ -38,7 +40,7 @@ def messages(asked: Scenario) -> Trace:
     return read_trace(setup, in_memory(setup))
 
 
-@pytest.mark.parametrize("bus", ["ideal", "plca"])
+@pytest.mark.parametrize("bus", ["ideal", *rows_of_features("BUSES_OF_LONG_SHARES")])
 @pytest.mark.parametrize("states", STATES)
 def test_labelled_has_the_estimates_of_a_filter_that_hears_everything(states: int, bus: str):
     """Each node has all records of all nodes in a step, so that all estimates are one."""
@@ -88,7 +90,7 @@ def test_records_of_many_channels_make_shares_long_enough():
     [
         ({"rule": "labelled"}, r"6 shares of 7562 bytes \(they take 50.6 ms\)"),
         ({"rule": "ci"}, r"6 shares of 15120 bytes \(they take 101.2 ms\)"),
-        ({"rule": "ci", "bus": "can-fd"}, "15120 bytes need 270 frames of 60 bytes"),
+        *(({"rule": "ci", "bus": bus}, said) for bus, said in TOO_SHORT.items()),
         ({"rule": "hcmci", "cluster": "audi", "number": "float32"}, "need .* frames of 30 bytes"),
         ({"rule": "labelled", "cluster": "audi"}, "7562 bytes need 291 frames of 30 bytes"),
     ],

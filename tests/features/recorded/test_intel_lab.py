@@ -5,8 +5,12 @@ from pathlib import Path
 import pytest
 
 from concord.features.recorded.intel_lab import BOTH_WAYS, LEAST_DELIVERY, intel_lab
+from concord.scenarios.links import link_state
+from concord.scenarios.preparation import prepare
 from concord.topology.adjacency import is_symmetric, links_of
 from concord.topology.analysis import components
+from tests.experiments.support import scenario, small
+from tests.test_batched_agreement import check_agreement
 
 LAB = Path(__file__).resolve().parents[4] / "shared/data/intel_lab"
 needs_lab = pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
@@ -50,3 +54,23 @@ def test_a_folder_of_something_else_is_no_lab(tmp_path):
     (tmp_path / "connectivity.txt").write_text("1 2 0.5\n2 1 7\n")
     with pytest.raises(ValueError, match=r"connectivity\.txt:2: '2 1 7' is no link"):
         intel_lab(tmp_path)
+
+
+@needs_lab
+def test_a_scenario_has_the_directed_lossy_links_of_the_lab():
+    asked = scenario(
+        "oscillator", nodes=12, steps=5, graph=f"intel-lab:{LAB}", links="measured", loss=0.1,
+        stretch=100.0,
+    )  # fmt: skip
+    check_agreement(asked)
+    setup = prepare(asked)
+    losses = link_state(setup).losses
+    assert len(losses) == sum(map(len, setup.neighbours))
+    assert min(losses.values()) > 0.1 and max(losses.values()) <= 1 - 0.9 * 0.1 + 1e-12
+    assert any(losses[i, j] != losses[j, i] for i, j in losses)
+
+
+def test_a_lab_without_a_folder_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("CONCORD_INTEL_LAB", raising=False)
+    with pytest.raises(ValueError, match="intel-lab:FOLDER, or with"):
+        small(graph="intel-lab")

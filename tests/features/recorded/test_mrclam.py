@@ -1,5 +1,6 @@
 """Tracking on recorded robots: a recording made by hand, and the facts of the real set 6."""
 
+import json
 import math
 from pathlib import Path
 
@@ -7,11 +8,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from concord.experiments.other_runs import told_by
 from concord.features.recorded.confined_motion import ConfinedMotion
 from concord.features.recorded.mrclam import recorded_target
 from concord.features.recorded.mrclam_files import read_recording
 from concord.features.recorded.sighting import Sighting
 from concord.nodes.rules.labelled.record_codec import record_codec
+from concord.results.records.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.preparation import prepare
+from tests.experiments.support import scenario, summary_of
 
 SET_6 = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mrclam6"
 
@@ -325,3 +331,31 @@ def test_readings_that_mean_something_together_are_not_quantised():
     codec = record_codec(Sighting(), (1, 5), "<i2")
     assert codec is not None and codec.number == "<f4" and codec.rounding_cov is None
     assert record_codec(None, (1, 5), "<i2") is None
+
+
+def test_errors_near_a_sighting_count_the_steps_after_it(mrclam_folder: Path):
+    """Within 2 s, 10 steps, of a reading by any node."""
+    asked = scenario("mrclam", data=str(mrclam_folder), target=4, steps=400)
+    setup = prepare(asked)
+    trace = read_trace(setup, in_memory(setup))
+    figures = summary_of(setup, trace)
+    seen = [k for k in range(400) if not np.isnan(trace.readings[k]).all()]
+    near = [k for k in range(400) if any(k - 10 <= s <= k for s in seen) and k >= seen[0]]
+    assert 0 < len(near) < 400
+    for node in range(4):
+        squares = ((trace.mean[near, node, :2] - trace.truth[near, :2]) ** 2).sum(1)
+        expected = np.sqrt(squares[~np.isnan(squares)].mean())
+        assert figures.nodes[node]["rmse_near"].value == pytest.approx(expected, rel=1e-12)
+
+
+def test_runs_of_what_was_recorded_once_are_no_band(mrclam_folder: Path):
+    setup = prepare(scenario("mrclam", data=str(mrclam_folder), target=4, steps=30))
+    told = told_by(setup, 3)
+    assert told.nees_low == told.nees_high == [None] * 30
+
+
+def test_what_is_not_known_is_null_in_json(mrclam_folder: Path):
+    """No node has seen the target in the first steps, and JSON has no NaN."""
+    setup = prepare(scenario("mrclam", data=str(mrclam_folder), target=4, steps=3))
+    figures = summary_of(setup, read_trace(setup, in_memory(setup)))
+    json.loads(figures.as_json(), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))

@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from concord.dashboard.panels.zoom import SIZE, zoom
 from concord.dashboard.scene.geometry import zonotope_corners
 from concord.dashboard.theme import DARK
+from concord.experiments.other_runs import OtherRuns
 from concord.nodes.messages import Estimate, decode
 from tests.dashboard.runs import frames_of, run_of
 
@@ -100,3 +101,9 @@ def test_what_is_no_zonotope_of_these_states_is_not_drawn():
     for frame in frames:
         assert frame.zonotopes[2] is None
         assert frame.zonotopes[1] is not None
+
+
+def test_of_sets_no_other_runs_are_told():
+    others = OtherRuns(RUN.stage.setup, sparing=True)
+    assert np.isnan(others(np.array([0.0, 0.5])).bound).all()
+    others.close()

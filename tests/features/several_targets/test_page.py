@@ -21,6 +21,7 @@ from concord.features.several_targets.frames import NodeTracks, StepTracks
 from concord.features.several_targets.page import track_charts
 from concord.features.several_targets.scene import track_colour
 from concord.features.several_targets.track_log import scored
+from concord.results.records.trace import read_trace
 from tests.dashboard.runs import run_of
 
 RUN = run_of("target-swarm", nodes=5, targets=4, steps=24, clutter=1.0)
@@ -130,3 +131,14 @@ def test_the_chart_has_the_mean_and_the_worst_of_the_nodes():
     each = np.array([tracks.gospa_m for tracks in told_tracks()])
     np.testing.assert_allclose(mean, each.mean(axis=1))
     np.testing.assert_allclose(worst, each.max(axis=1))
+
+
+def test_the_page_shows_the_number_of_targets_and_gospa():
+    trace, frames = read_trace(RUN.stage.setup, RUN.messages), RUN.frames
+    assert (RUN.stage.score.unit, RUN.stage.error_name, RUN.stage.place) == ("m", "GOSPA", ())
+    assert [frame.truth.tolist() for frame in frames] == trace.truth.tolist()
+    off = np.abs(trace.mean - trace.truth[:, None])[..., 0]
+    np.testing.assert_allclose([frame.scores.error for frame in frames], off)
+    assert trace.extra is not None
+    gospa_m = np.sqrt((trace.extra.distances() ** 2).mean(axis=1))
+    np.testing.assert_allclose([frame.scores.rmse for frame in frames], gospa_m)

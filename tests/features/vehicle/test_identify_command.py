@@ -130,3 +130,18 @@ def test_a_straight_drive_with_a_gap_tells_its_sensors_and_leaves_the_tyres(tmp_
         assert sheet.noise == pytest.approx(noise, rel=0.1)
     refusal = refused(concord(capsys, "identify", "--data", tmp_path, "--seek", "tyres"))
     assert "--seek tyres" in refusal and "0.4 m/s² at most" in refusal
+
+
+@pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify"])
+def test_a_drive_whose_car_is_none_is_named(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "car.toml").write_text("mass_kg = 'heavy'")
+    monkeypatch.chdir(tmp_path)
+    said = refused(concord(capsys, *command.split(), "--data", "drive"))
+    assert said.startswith("concord: drive/car.toml: the car file is not valid: ")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["drive"]
