@@ -29,6 +29,7 @@ KINDS = {
     "ARBITERS": "an Arbiter, or its function of urgency, beside those of the core",
     "FIGURES": "by name, (dimensions, unit, meaning) of figures of runs",
     "CHARTS": "a function (stage) -> charts of the page, beside those of the core",
+    "CASES": "no target but options of a case of `concord compare`: name=value, and its runs",
     "COMMANDS": "a function of the command line, or a table of them (a group)",
     "NAMES": "a public name of the package concord",
 }

@@ -86,7 +86,7 @@ def compare(
         rules: your own, as functions or as FILE.py:NAME.
         cases: names of cases; all when left out.
         runs: of every case; those of the suite when left out.
-        data: folder of a MRCLAM data set for the case mrclam.
+        data: folder of the data of recorded cases.
         workers: processes; with more than one, a rule must be at the top of a file.
         out: folder that keeps each finished entry, and gets report.html, results.nc, table.tex,
             table.md and compare.json.

@@ -75,7 +75,7 @@ def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     if there[0] is None:
         raise ValueError(
             f"--links {scenario.network.links}: the nodes of scenario {scenario.name} have no "
-            "places; use bernoulli, markov or switching, or scenario target-tracking or mrclam"
+            "places; use bernoulli, markov or switching, or scenario target-tracking"
         )
     homes = np.stack([np.asarray(place)[:, :2] for place in there if place is not None])
     if len(plan.numbers) == 1:

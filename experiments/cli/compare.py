@@ -32,9 +32,9 @@ class CompareOptions:
     case: str | None = None
     """Cases of the suite, with commas; all when left out."""
     runs: int | None = None
-    """Monte-Carlo runs of every case but mrclam; those of the suite when left out."""
+    """Monte-Carlo runs of every case that is not recorded; those of the suite when left out."""
     data: Path | None = None
-    """Folder of a MRCLAM data set for the case mrclam, which is skipped when left out."""
+    """Folder of the data of recorded cases, which are skipped when left out."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; runs/compare when left out. Pairs of rule and case that it holds are
     not computed again."""

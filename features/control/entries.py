@@ -29,3 +29,9 @@ SCENARIOS = {
         f"{_HERE}.options:MotorPosition",
     ),
 }
+CASES = {
+    "blind": (
+        "scenario=dc-motor-position control=open steps=200 seed=1 runs=60",
+        "the position of a DC motor without a controller: a plant that drifts, and blind nodes",
+    ),
+}

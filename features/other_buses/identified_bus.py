@@ -13,9 +13,9 @@ from concord.bus.arbitration import Arbiter, ArbiterState, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
 from concord.bus.contended_bus import BidClasses, ContendedBus
 from concord.bus.fragments import numbered
-from concord.bus.identified_frames import Framing, identifier_of
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
+from concord.features.other_buses.identified_frames import Framing, identifier_of
 
 
 class IdentifiedBus(ContendedBus, ABC):

@@ -19,3 +19,9 @@ GRAPHS = {
         "The links of the Intel Berkeley Research lab, some of which go one way.",
     ),
 }
+CASES = {
+    "mrclam": (
+        "scenario=mrclam target=4 steps=900 seed=1 runs=1 recorded=yes",
+        "four real robots track the fifth (UTIAS MRCLAM): recorded data, no simulated noise",
+    ),
+}

@@ -50,3 +50,10 @@ NAMES = {
     "EllipsoidReceiver": (f"{_HERE}.options:EllipsoidReceiver", "Ellipsoids at a receiver."),
     "ZonotopeReceiver": (f"{_HERE}.options:ZonotopeReceiver", "Zonotopes at a receiver."),
 }
+CASES = {
+    "unstable": (
+        "scenario=liu2021-network control=open steps=100 seed=1 runs=30",
+        "an open-loop plant whose first state grows; two of six nodes read it; bounded noise, so "
+        "the set rules run",
+    ),
+}

@@ -19,3 +19,9 @@ RULES = {
 FIGURES = {
     "tracks": (f"{_HERE}.figure_names:FIGURES", "Scores of the tracks of several targets."),
 }
+CASES = {
+    "targets": (
+        "scenario=target-swarm nodes=10 targets=3 clutter=1 steps=40 occupancy=0.25 seed=1 runs=10",
+        "three targets, clutter and misses: 10 nodes of target-swarm with a quarter of the bus",
+    ),
+}

@@ -38,3 +38,9 @@ COMMANDS = {
         "study",
     ),
 }
+CASES = {
+    "vehicle": (
+        "scenario=vehicle-network filter=ukf noise=matched cluster=fitted steps=600 seed=1 runs=20",
+        "a car's four sensor nodes on a complete graph: few nodes, and rule centralised runs",
+    ),
+}

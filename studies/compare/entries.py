@@ -12,14 +12,14 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import rule_of
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.user.values import is_source_name
-from concord.studies.compare.suite import SUITE, Case
+from concord.studies.compare.suite import Case, suite
 from concord.studies.memory import check_workers, needed_bytes
 from concord.studies.sweep.cells import sorted_out
 from concord.studies.sweep.pieces import program, runs_at_once
 from concord.studies.sweep.specification import Specification, cells_of, specify
 from concord.topology.names import unknown_name
 
-DATA_MISSING = "it replays recorded data: name the folder of a MRCLAM data set with --data"
+DATA_MISSING = "it replays recorded data: name their folder with --data"
 
 
 class ComparedEntry(NamedTuple):
@@ -54,11 +54,11 @@ def asked_cases(names: Sequence[str] | None, runs: int | None) -> list[Case]:
     """
     if runs is not None and runs < 1:
         raise ValueError(f"--runs {runs}: must be at least 1")
-    by_name = {case.name: case for case in SUITE}
+    by_name = {case.name: case for case in suite()}
     for name in names or ():
         if name not in by_name:
             raise unknown_name("case", name, by_name)
-    cases = [by_name[name] for name in dict.fromkeys(names)] if names else list(SUITE)
+    cases = [by_name[name] for name in dict.fromkeys(names)] if names else list(suite())
     return [case if runs is None or case.recorded else case._replace(runs=runs) for case in cases]
 
 
@@ -90,8 +90,9 @@ def entries_of(
     Raises:
         ValueError: recorded data that cannot be read.
     """
-    if data is not None:
-        prepare(scenario_of("mrclam", data=data, target=4))
+    for case in cases if data is not None else ():
+        if case.recorded:
+            prepare(scenario_of(**case.options, data=data))
     rules = {name: name for name in summaries("RULES")} | dict(own)
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
 

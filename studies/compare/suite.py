@@ -6,6 +6,8 @@ intervals of the comparison are paired.
 
 from typing import NamedTuple
 
+from concord.entries import entries
+
 
 class Case(NamedTuple):
     """One case of the suite.
@@ -35,7 +37,7 @@ def _tracking(name: str, purpose: str, **options: str) -> Case:
     return Case(name, purpose, {**_TARGET, **part, **options}, runs)
 
 
-SUITE = (
+_CASES = (
     _tracking(
         "geometric",
         "20 sensors with a limited field of view on a geometric graph, full bus: the usual case",
@@ -89,51 +91,16 @@ SUITE = (
         graph="geometric",
         changes="40 kill 4",
     ),
-    Case(
-        "vehicle",
-        "a car's four sensor nodes on a complete graph: few nodes, and rule centralised runs",
-        {
-            "scenario": "vehicle-network",
-            "filter": "ukf",
-            "noise": "matched",
-            "cluster": "fitted",
-            "steps": "600",
-            "seed": "1",
-        },
-        20,
-    ),
-    Case(
-        "unstable",
-        "an open-loop plant whose first state grows; two of six nodes read it; bounded noise, "
-        "so the set rules run",
-        {"scenario": "liu2021-network", "control": "open", "steps": "100", "seed": "1"},
-        30,
-    ),
-    Case(
-        "blind",
-        "the position of a DC motor without a controller: a plant that drifts, and blind nodes",
-        {"scenario": "dc-motor-position", "control": "open", "steps": "200", "seed": "1"},
-        60,
-    ),
-    Case(
-        "targets",
-        "three targets, clutter and misses: 10 nodes of target-swarm with a quarter of the bus",
-        {
-            "scenario": "target-swarm",
-            "nodes": "10",
-            "targets": "3",
-            "clutter": "1",
-            "steps": "40",
-            "occupancy": "0.25",
-            "seed": "1",
-        },
-        10,
-    ),
-    Case(
-        "mrclam",
-        "four real robots track the fifth (UTIAS MRCLAM): recorded data, no simulated noise",
-        {"scenario": "mrclam", "target": "4", "steps": "900", "seed": "1"},
-        1,
-        recorded=True,
-    ),
 )
+
+
+def suite() -> tuple[Case, ...]:
+    """Return all cases: those of the core, then those of entries."""
+    return (*_CASES, *(_case(name, *entry[:2]) for name, entry in entries("CASES").items()))
+
+
+def _case(name: str, words: str, purpose: str) -> Case:
+    """A case of an entry: `scenario=... runs=... recorded=yes`, as in `KINDS`."""
+    options = dict(word.split("=", 1) for word in words.split())
+    runs, recorded = int(options.pop("runs")), options.pop("recorded", "no") == "yes"
+    return Case(name, purpose, options, runs, recorded)

@@ -11,11 +11,12 @@ import concord as cc
 from concord.entries import summaries
 from concord.filters.fusion.averaging import covariance_intersection
 from concord.filters.gaussian import Gaussian
+from concord.scenarios.catalogue import definition_named
 from concord.studies.compare import entries as entries_module
 from concord.studies.compare.entries import asked_cases, entries_of
 from concord.studies.compare.results import comparison_figures
 from concord.studies.compare.run import KEPT, compute_missing, kept_before
-from concord.studies.compare.suite import SUITE
+from concord.studies.compare.suite import suite
 from concord.studies.compare.tables import latex
 from concord.studies.sweep.workers import in_this_process
 from tests.experiments.command_support import concord
@@ -46,9 +47,9 @@ def intersected(beliefs, weights):
 @pytest.fixture(scope="module", autouse=True)
 def short_cases():
     """Give every case few steps."""
-    short = [case._replace(options={**case.options, "steps": "40"}) for case in SUITE]
+    short = [case._replace(options={**case.options, "steps": "40"}) for case in suite()]
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(entries_module, "SUITE", short)
+        patched.setattr(entries_module, "suite", lambda: tuple(short))
         yield
 
 
@@ -58,13 +59,14 @@ def result():
 
 
 def test_every_case_prepares_with_the_rules_for_any_network():
-    entries = entries_of(SUITE, {}, None)
-    assert len(entries) == len(SUITE) * len(summaries("RULES"))
+    entries = entries_of(suite(), {}, None)
+    assert len(entries) == len(suite()) * len(summaries("RULES"))
     for entry in entries:
+        wired = definition_named(entry.case.options["scenario"]).wirings
         if entry.case.recorded:
             assert "--data" in entry.reason
-        elif entry.case.options["scenario"] == "target-swarm":
-            assert (not entry.reason) is (entry.rule in ("labelled", "track-ci")), entry
+        elif wired:
+            assert (not entry.reason) is (entry.rule in wired), entry
         elif entry.rule in ("ci", "wac", "hcmci", "labelled", "local"):
             assert not entry.reason, entry
     ran = {entry.rule for entry in entries if not entry.reason}
@@ -72,7 +74,7 @@ def test_every_case_prepares_with_the_rules_for_any_network():
 
 
 def test_names_of_cases_are_unique_and_fit_a_column():
-    names = [case.name for case in SUITE]
+    names = [case.name for case in suite()]
     assert len(set(names)) == len(names) and max(map(len, names)) <= 12
 
 

@@ -7,7 +7,6 @@ from itertools import zip_longest
 
 from concord.bus.arbitration import Arbiter, LosingBids, largest_bid, lowest_frame_id
 from concord.bus.bus import Transmission
-from concord.bus.identified_frames import frame_id_of
 from concord.bus.schedule import Schedule
 from concord.features.other_buses.can_fd.bits import (
     ERROR_FRAME_BITS,
@@ -21,6 +20,7 @@ from concord.features.other_buses.can_fd.frame import FRAMINGS
 from concord.features.other_buses.can_fd.priority import BidLevels, layout
 from concord.features.other_buses.can_fd.response_times import Message, response_times
 from concord.features.other_buses.identified_bus import BidClasses, IdentifiedBus
+from concord.features.other_buses.identified_frames import frame_id_of
 from concord.features.other_buses.options import CanFd
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
 

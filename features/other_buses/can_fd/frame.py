@@ -9,7 +9,6 @@ import struct
 from functools import partial
 
 from concord.bus.bus import Captured, Link, Rejected
-from concord.bus.identified_frames import Framing
 from concord.features.other_buses.can_fd.bits import (
     BASE_BITS,
     DATA_BYTES,
@@ -18,6 +17,7 @@ from concord.features.other_buses.can_fd.bits import (
     padded,
     wire,
 )
+from concord.features.other_buses.identified_frames import Framing
 
 _HEADER = struct.Struct(">IB")
 _CHECK_BYTES = 4

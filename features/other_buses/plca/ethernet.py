@@ -7,7 +7,7 @@ import struct
 import zlib
 
 from concord.bus.bus import Captured, Link, Rejected
-from concord.bus.identified_frames import Framing
+from concord.features.other_buses.identified_frames import Framing
 
 MAX_NODES = 255
 MIN_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES = 46, 1500

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from concord.bus.arbitration import ONE_CLASS, Arbiter, LosingBids, largest_bid, unclassed
 from concord.bus.bus import Transmission
-from concord.bus.identified_frames import frame_id_of
 from concord.bus.schedule import Schedule
 from concord.features.other_buses.identified_bus import IdentifiedBus
+from concord.features.other_buses.identified_frames import frame_id_of
 from concord.features.other_buses.options import Plca
 from concord.features.other_buses.plca.cycle import (
     BIT_US,
