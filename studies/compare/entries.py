@@ -90,8 +90,11 @@ def entries_of(
     Raises:
         ValueError: recorded data that cannot be read.
     """
-    for case in cases if data is not None else ():
-        if case.recorded:
+    if data is not None:
+        recorded = [case for case in cases if case.recorded]
+        if not recorded:
+            raise ValueError(f"--data {data}: none of the cases is recorded; leave it out")
+        for case in recorded:
             prepare(scenario_of(**case.options, data=data))
     rules = {name: name for name in summaries("RULES")} | dict(own)
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]

@@ -31,6 +31,7 @@ REFUSED = {
         ("--runs 0", "--runs 0: must be at least 1"),
         ("--workers 0", "must be at least 1"),
         ("--data nowhere", "nowhere"),
+        ("--case path --data nowhere", "--data nowhere: none of the cases is recorded"),
     ],
     "design -o d.json": [
         ("--target-rmse much", "positive number"),
