@@ -95,7 +95,8 @@ def entries_of(
         if not recorded:
             raise ValueError(f"--data {data}: none of the cases is recorded; leave it out")
         for case in recorded:
-            prepare(scenario_of(**case.options, data=data))
+            (cell,) = cells_of(specify({**case.options, "data": data}, runs=1))
+            prepare(cell.scenario)
     rules = {name: name for name in summaries("RULES")} | dict(own)
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
 
