@@ -36,7 +36,7 @@ def print_comparison(figures: ComparisonFigures, console: Console) -> None:
         console.print(f"{case.case}: {case.purpose}; {runs}")
         if ran:
             grid = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-            grid.add_column("rule", overflow="fold", max_width=24)
+            grid.add_column("rule", overflow="fold", min_width=12, max_width=24)
             for heading in COLUMNS:
                 grid.add_column(heading, justify="right", no_wrap=True)
             for one in ran:
