@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.features.rows import rows_of_features
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
 pytestmark = pytest.mark.slow
@@ -18,14 +19,11 @@ _NAMES = (
     "start",
     "topology",
     "bus",
-    "buses",
-    "measurement_bus",
     "labelled",
-    "targets",
-    "control",
     "faults",
     "realtime",
     "papers/meng2025",
+    *rows_of_features("PAGES"),
 )
 PAGES = (
     README,

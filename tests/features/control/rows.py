@@ -5,3 +5,4 @@ OPTIONS_OF_A_SCENARIO = {
     "--control 0": "--scenario cruise-control",
 }
 SMALL_NETWORKS = {"dc-motor-speed": {"steps": 12, "loss": 0.2}}
+PAGES = {"control": ""}

@@ -3,3 +3,4 @@
 OPTIONS_OF_A_SCENARIO = {
     "--static-slots 3": "--scenario meng2025-network or --schedule flexray",
 }
+PAGES = {"measurement_bus": ""}

@@ -23,3 +23,4 @@ REFUSED = {
     ],
 }
 SMALL_NETWORKS = {"target-swarm": {"targets": 3, "clutter": 2, "steps": 10, "rounds": 2}}
+PAGES = {"targets": ""}
