@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from concord.experiments.python_studies import sweep as sweep
     from concord.plants.linear_systems import from_control as from_control
     from concord.plants.own_plant import OwnPlant as OwnPlant
-    from concord.plants.own_plant import OwnSensor as OwnSensor
+    from concord.plants.own_sensor import OwnSensor as OwnSensor
+    from concord.plants.own_sensor import TrueSensor as TrueSensor
+    from concord.plants.own_truth import TruePlant as Truth  # noqa: F401
     from concord.scenarios.definitions.own import own_scenario as own_scenario
     from concord.scenarios.scenario import Scenario as Scenario
     from concord.scenarios.types import buses as buses

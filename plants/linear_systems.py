@@ -1,11 +1,14 @@
 """Linear systems of other libraries as plants of the user's own."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_motion import Inputs
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.plants.own_values import covariance_of, numbers_of
 
 
@@ -17,8 +20,9 @@ def from_control(
     mean: ArrayLike,
     cov: ArrayLike,
     time_step_s: float | None = None,
+    inputs: Inputs = None,
 ) -> tuple[OwnPlant, OwnSensor]:
-    """The plant and the sensor of a linear system, whose inputs are 0: its B and D have no effect.
+    """The plant and the sensor of a linear system; its inputs are 0 where none are given.
 
     Args:
         system: a `control.StateSpace`, or a state space of scipy.signal; a continuous one is
@@ -27,10 +31,12 @@ def from_control(
         R: covariance of the noise of its outputs, (m, m) or (m,).
         mean, cov: law of the first state, as in `OwnPlant`.
         time_step_s: sampling time; that of the system when left out.
+        inputs: as in `OwnPlant`, one for each column of B, held over a step.
 
     Raises:
         ValueError: no state space, one that leaves open whether it is continuous, one without a
-            sampling time, or one of another than `time_step_s`.
+            sampling time, or one of another than `time_step_s`. Inputs of another number than B
+            has, or of a system whose D is not 0.
     """
     kind = type(system).__name__
     if not all(hasattr(system, name) for name in "ABCD"):
@@ -45,9 +51,13 @@ def from_control(
     transition, output = numbers_of("A", system.A), numbers_of("C", system.C)
     if not (np.isfinite(transition).all() and np.isfinite(output).all()):
         raise ValueError("system: A and C must be finite")
+    gain = numbers_of("B", system.B)
+    if inputs is not None:
+        _check_inputs(inputs, gain, numbers_of("D", system.D))
     names = tuple(map(str, getattr(system, "state_labels", None) or ()))
     plant = OwnPlant(
-        f=lambda x: x @ transition.T,
+        f=_motion(transition, None if inputs is None else gain),
+        inputs=inputs,
         Q=Q,
         mean=mean,
         cov=cov,
@@ -55,6 +65,26 @@ def from_control(
         state_names=names,
     )
     return plant, OwnSensor(h=lambda x: x @ output.T, R=covariance_of("R", R, len(output)))
+
+
+def _motion(transition: np.ndarray, gain: np.ndarray | None) -> Callable[..., np.ndarray]:
+    if gain is None:
+        return lambda x: x @ transition.T
+    return lambda x, u: x @ transition.T + u @ gain.T
+
+
+def _check_inputs(inputs: Any, gain: np.ndarray, through: np.ndarray) -> None:
+    if through.any():
+        raise ValueError(
+            "inputs: D of the system is not 0, so the outputs have a part that no state tells; "
+            "take it off the readings, and make D 0"
+        )
+    one = numbers_of("inputs", inputs(0) if callable(inputs) else inputs)
+    columns = one.size if callable(inputs) else one.shape[-1] if one.ndim > 1 else 1
+    if columns != gain.shape[1]:
+        raise ValueError(
+            f"inputs: {columns} for the {gain.shape[1]} columns of B; give one for each"
+        )
 
 
 def _is_continuous(system: Any) -> bool:

@@ -24,19 +24,20 @@ Function = Callable[[np.ndarray], ArrayLike]
 def require_lanes(name: str, function: Function, mean: np.ndarray, entries: int) -> None:
     """Try a function on lanes of states, and on each of them alone."""
     if not callable(function):
-        raise ValueError(f"{name} of type {type(function).__name__}: must be a function of states")
+        kind = type(function).__name__
+        raise ValueError(f"{name.partition('(')[0]} of type {kind}: must be a function of states")
     lanes = mean + np.linspace(0, 0.1, 6).reshape(*_TRIED, 1)
     try:
         with np.errstate(all="ignore"):
             together = np.asarray(function(lanes), dtype=float)
     except Exception as error:
         raise ValueError(
-            f"{name}(x) with x of shape {lanes.shape} fails ({type(error).__name__}: {error}); "
+            f"{name} with x of shape {lanes.shape} fails ({type(error).__name__}: {error}); "
             "leading axes are free, so write x[..., 0] for the first state"
         ) from error
     if together.shape != (*_TRIED, entries):
         raise ValueError(
-            f"{name}(x) with x of shape {lanes.shape} has shape {together.shape}: must be "
+            f"{name} with x of shape {lanes.shape} has shape {together.shape}: must be "
             f"{(*_TRIED, entries)}; leading axes are free, so write x[..., 0] for the first state, "
             "and join results with np.stack((a, b), axis=-1)"
         )
@@ -45,7 +46,7 @@ def require_lanes(name: str, function: Function, mean: np.ndarray, entries: int)
             alone = np.asarray(function(lanes[lane]), dtype=float)
         if not np.allclose(alone, together[lane], equal_nan=True):
             raise ValueError(
-                f"{name}(x) of one state differs from {name}(x) of several at once: it mixes the "
+                f"{name} of one state differs from {name} of several at once: it mixes the "
                 "lanes; write x[..., 0] for the first state"
             )
 
@@ -78,7 +79,7 @@ def require_one_value(
     """Refuse a function of states that jumps by a turn where its values are not named as angles.
 
     Args:
-        name: of the function, f(x) or h(x), in messages.
+        name: how the function is called in messages, such as h(x).
         function: states (..., n) -> values (..., m), tried over a turn and a half of each state,
             and over three standard deviations of it.
         mean, cov: law of the first state.
@@ -129,8 +130,9 @@ def _require_no_jump(
     except Exception:
         return
     if is_jump:
-        whose = "state" if name == "f(x)" else "entry"
-        owner = "OwnPlant" if name == "f(x)" else "OwnSensor"
+        is_sensor = name.startswith("h")
+        whose = "entry" if is_sensor else "state"
+        owner = "OwnSensor" if is_sensor else "OwnPlant"
         raise ValueError(
             f"{name} jumps by 2 pi in {whose} {entry} where state {state} is "
             f"{ends[0, state]:.4g}; name it as an angle in rad, {owner}(angles=({entry},))"

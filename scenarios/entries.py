@@ -162,7 +162,12 @@ SCHEDULES = {
 }
 NAMES = {
     "OwnPlant": ("concord.plants.own_plant:OwnPlant", "A plant of your own."),
-    "OwnSensor": ("concord.plants.own_plant:OwnSensor", "A sensor of your own."),
+    "OwnSensor": ("concord.plants.own_sensor:OwnSensor", "A sensor of your own."),
+    "Truth": (
+        "concord.plants.own_truth:TruePlant",
+        "A plant and its sensors as they really are.",
+    ),
+    "TrueSensor": ("concord.plants.own_sensor:TrueSensor", "A sensor as it really is."),
     "from_control": (
         "concord.plants.linear_systems:from_control",
         "A plant from a model of python-control or scipy.",

@@ -9,7 +9,7 @@ from tests.pages import ROOT, blocks, commands, run_as_reader
 pytestmark = pytest.mark.slow
 
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
-NAMES = ("pendulum", "sharpest", "fading", "patient", "serial")
+NAMES = ("pendulum", "cart", "sharpest", "fading", "patient", "serial")
 CHECKING = (ROOT / "docs" / "checking.md").read_text(encoding="utf-8")
 
 

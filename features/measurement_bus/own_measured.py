@@ -19,7 +19,9 @@ from concord.features.measurement_bus.sensed import SensedPlant, sensors_on_a_bu
 from concord.features.measurement_bus.stochastic import StochasticNonlinearity, StochasticSystem
 from concord.filters.filter import Filter
 from concord.filters.sigma_points import scaled_unscented
-from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
+from concord.plants.own_truth import OwnTruth, sensors_of_nodes
 from concord.scenarios.definitions.own import own_score, user_definition
 from concord.scenarios.scenario import BusChoice, Scenario
 from concord.scenarios.types.buses import FlexRay
@@ -113,7 +115,7 @@ def _plant_on_bus(plant: object, sensors: Sequence[Any]) -> PlantOnBus:
 
 
 def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
-    require_sensors(plant, sensors)
+    nodes = sensors_of_nodes(plant, sensors)
     if plant.angles:
         raise ValueError(
             f"angles {plant.angles}: they have no place behind a measurement bus; let f go on "
@@ -124,6 +126,11 @@ def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
             raise ValueError(
                 f"sensor {number}: angles and gate have no place behind a measurement bus; let the "
                 "sensor read the sine and the cosine of an angle"
+            )
+        if sensor.every_s is not None or sensor.start_s or sensor.delay_s or sensor.missing:
+            raise ValueError(
+                f"sensor {number}: every_s, start_s, delay_s and missing have no place behind a "
+                "measurement bus, whose slots say when a sensor reads; leave them out"
             )
     ends = np.cumsum([0, *(sensor.entries for sensor in sensors)])
     noise_cov = np.zeros((ends[-1], ends[-1]))
@@ -143,7 +150,7 @@ def _gaussian(plant: OwnPlant, sensors: tuple[OwnSensor, ...]) -> PlantOnBus:
         measurement=lambda _: StochasticNonlinearity(int(ends[-1]), plant.states),
     )
     return PlantOnBus(
-        OwnTruth(plant, (None, *sensors)),
+        OwnTruth(plant, (None, *nodes)),
         plant,
         lambda node: None if node == RECEIVER else sensors[node - 1],
         system,

@@ -42,12 +42,12 @@ from concord.features.vehicle.plant.replay import replayed
 from concord.features.vehicle.plant.sensors import SensorError
 from concord.features.vehicle.plant.validity import outside_model
 from concord.filters.gaussian import Gaussian
+from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Explanation, ScenarioDefinition, Score
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.plants import SensorNetwork
-from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
@@ -211,27 +211,12 @@ def _late_steps(scenario: Scenario) -> tuple[int, ...]:
 
 def _check_arrival(scenario: Scenario) -> None:
     """Refuse late readings that no window can put back."""
-    vehicle, rule = vehicle_of(scenario), scenario.rule
+    vehicle = vehicle_of(scenario)
     if vehicle.arrival == "stamped":
         return
     if vehicle.data is None:
         raise ValueError("--arrival late: of a log, but this drive is simulated; add --data")
-    if not isinstance(rule, MeasurementFlooding):
-        raise ValueError(
-            f"--arrival late: rule {rule.name} has no window that puts readings back; use --rule "
-            "labelled --filter ukf --cluster fitted"
-        )
-    if vehicle.sensor_gate or rule.gate_probability or rule.withhold_below:
-        raise ValueError(
-            "--arrival late: a node judges a reading before it comes; leave --sensor-gate, "
-            "--gate-probability and --withhold-below out"
-        )
-    longest, window = max(_late(vehicle.data)), rule.window_steps or LEAST_WINDOW_STEPS
-    if longest >= window:
-        raise ValueError(
-            f"--arrival late: readings come up to {longest} steps late, but the window has "
-            f"{window}; use --window-steps {longest + LEAST_WINDOW_STEPS}"
-        )
+    refuse_late(scenario, _late(vehicle.data), bool(vehicle.sensor_gate), "--arrival late")
 
 
 def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:

@@ -15,6 +15,8 @@ from concord.results.figures.intervals import Interval, chi_square_quantile, mea
 LEAST_UPDATES, LEAST_SERIES = 8, 50
 """A channel with fewer updates is not tested, and with fewer than the second not for whiteness.
 Student's t and chi-square are exact for few samples; the law of Ljung and Box is one of many."""
+_FAR = 6.0
+"""Robust standard deviations from the median. Of normal innovations 2 in 10^9 lie beyond it."""
 MOST_LAGS = 10
 _BATCHES = 10
 
@@ -31,6 +33,8 @@ class ChannelTest(NamedTuple):
         correlation: of successive normalised innovations; 0 is right.
         p_mean, p_spread, p_white: how likely figures so far off are by chance: of the mean by
             Student's t, of the spread by chi-square, of the correlations by Ljung and Box.
+        far: how many are so far from the others that no normal noise puts them there.
+        core: variance of the others.
     """
 
     updates: int
@@ -42,6 +46,8 @@ class ChannelTest(NamedTuple):
     p_mean: float
     p_spread: float
     p_white: float
+    far: int = 0
+    core: float = np.nan
 
 
 def channel_test(innovations: np.ndarray, variances: np.ndarray) -> ChannelTest:
@@ -72,7 +78,16 @@ def channel_test(innovations: np.ndarray, variances: np.ndarray) -> ChannelTest:
         _p_of_mean(values, p_white),
         float(p_spread),
         p_white,
+        *_far_ones(values),
     )
+
+
+def _far_ones(values: np.ndarray) -> tuple[int, float]:
+    """How many values (K,) are outliers, and the variance of the others."""
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    # The quartiles of a normal law are 1.349 standard deviations apart.
+    far = np.abs(values - middle) > _FAR * (high - low) / 1.349
+    return int(far.sum()), float(values[~far].var())
 
 
 def nis_interval(total: float, freedoms: int, confidence: float = 0.95) -> Interval:

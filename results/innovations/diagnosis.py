@@ -20,6 +20,8 @@ MEAN_MARGIN, SPREAD_MARGIN, CORRELATION_MARGIN = 0.1, 1.2, 0.1
 correlation."""
 
 
+_FEWEST_FAR, _MOST_FAR = 3, 0.25
+"""Least number of outliers that are no chance, and the share beyond which they are the noise."""
 _SURE, _LEANS = 2.0, 0.01
 """Standard deviations of a correlation beyond which its sign counts, of a channel that deviates; p
 value of a variance below which its side counts, of a channel that is not white."""
@@ -32,6 +34,7 @@ class Cause(Enum):
     UNKNOWN = "unknown"
     OFFSET = "offset of a sensor"
     NOISE_TOO_SMALL = "noise of a sensor too small"
+    OUTLIERS = "outliers of a sensor"
     NOISE_TOO_LARGE = "noise of a sensor too large"
     COLOURED = "coloured noise of a sensor"
     ALL_NOISE_TOO_SMALL = "noise of all sensors too small"
@@ -105,6 +108,10 @@ def diagnose(channels: Sequence[tuple[Channel, ChannelTest]]) -> Diagnosis:
     deviating = [one for one in tested if one.deviates]
     if not deviating:
         return Diagnosis(Cause.NONE)
+    worst = max(deviating, key=_deviation)
+    if worst.spread and _by_outliers(worst.test):
+        # They disturb the innovations that follow, and those of other channels.
+        return _found(Cause.OUTLIERS, worst, deviating)
     model = [one for one in tested if one.points_to_model]
     alone = len(tested) == 1
     unsure = [one for one in tested if one.spread or one.coloured]
@@ -190,6 +197,12 @@ def _of_one(deviating: list[_Tested]) -> Diagnosis:
         cause = Cause.NOISE_TOO_SMALL if test.spread > 1 else Cause.NOISE_TOO_LARGE
         return _found(cause, worst, deviating)
     return _found(Cause.OFFSET if worst.shifted else Cause.COLOURED, worst, deviating)
+
+
+def _by_outliers(test: ChannelTest) -> bool:
+    """Whether a few far innovations make up most of what the variance is above 1."""
+    few = _FEWEST_FAR <= test.far < _MOST_FAR * test.updates
+    return few and test.spread - 1 > 2 * (test.core - 1)
 
 
 def _deviation(one: _Tested) -> float:

@@ -14,6 +14,12 @@ ESTIMATES_CONFIDENCE = 0.999
 """Of the two intervals of the nodes' estimates, NIS and ANEES, in runs that depend on each other
 step by step."""
 
+_UNKNOWN = Interval(np.nan, np.nan, np.nan)
+_HIDDEN = (
+    "models and sensors fit the readings (NIS {nis}), yet also the filter that hears everything "
+    "claims too much (ANEES {best} where 1 is right): no reading shows what is off, such as an "
+    "offset that all sensors of a state share; calibrate them, or add a sensor of another kind"
+)
 _TOO_WIDE = 10.0
 """An interval of ANEES that reaches from a tenth of 1 to ten times 1 tells nothing."""
 _ABSURD = 100.0
@@ -46,6 +52,10 @@ _OF_ONE = {
     Cause.NOISE_TOO_SMALL: (
         "{figures}; its noise is larger than the filter's R{or_biased}: raise R{learn}"
     ),
+    Cause.OUTLIERS: (
+        "{figures}: {far} of its {updates} readings are outliers, and the others have a variance "
+        "of {core:.2g} where 1 is right; give the sensor a gate"
+    ),
     Cause.NOISE_TOO_LARGE: "{figures}; its noise is smaller than the filter's R: lower R{learn}",
     Cause.COLOURED: (
         "{figures}, and its innovations correlate by {correlation:.2g}: its errors are not white"
@@ -60,13 +70,14 @@ def honesty(
     anees: Interval,
     explained: Explanation,
     enough: str,
+    best: Interval = _UNKNOWN,
 ) -> Finding:
     """The finding, computed from the diagnosis and from the nodes' own figures.
 
     `nis` and `anees` are those of all nodes per degree of freedom, with intervals of
     `ESTIMATES_CONFIDENCE`; ANEES is NaN where the truth is not known. The cause of `explained`, if
     there is one, takes the place of the cause that channels point to. `enough` are the options of
-    a run that is long enough to judge.
+    a run that is long enough to judge. `best` is ANEES of the filter that hears everything.
     """
     if diagnosis.cause is Cause.UNKNOWN:
         few = f"too few readings to judge: no channel has {LEAST_UPDATES} in the scored steps"
@@ -78,6 +89,9 @@ def honesty(
         channel = diagnosis.channel
         where = {} if channel is None else {"node": channel.node, "sensor": channel.name}
         return Finding(level=_LEVELS[lead], cause=cause, said=f"{lead}: {said}", **where)
+    if beyond(best) == beyond(anees) == "overconfident":
+        said = _HIDDEN.format(nis=_short(nis.value), best=_short(best.value))
+        return Finding(level="CHECK", cause="hidden error", said=f"overconfident: {said}")
     lead, said = _of_estimates(scenario, nis, anees)
     if explained.cause:
         lead = "undecided" if lead == "consistent" else lead
@@ -132,6 +146,9 @@ def _of_readings(
         learn=_learn(scenario),
         or_coloured="" if diagnosis.others else ", or this sensor's errors are not white",
         or_biased=_or_biased(test, diagnosis.channel),
+        far=test.far,
+        updates=test.updates,
+        core=test.core,
     )
     if diagnosis.cause in _OF_ONE and diagnosis.others:
         plural = "channels deviate" if diagnosis.others > 1 else "channel deviates"

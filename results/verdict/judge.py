@@ -64,8 +64,9 @@ def judge(view: RunView, heard: HearsAll | None) -> Judged:
     findings = [*failures(view, refused_by_gates(view.setup, own, inside)), *_recorded(view)]
     has_failed = any(one.level == "FAILED" for one in findings)
     nees = where_counted(view.counted, mean_of_known(view.errors.nees, (2,)))
+    best = where_counted(view.counted, view.errors.nees_centre)
     figures, honest = judged_innovations(
-        view.setup, own, heard, view.counted, nees, _enough(view), explain=not has_failed
+        view.setup, own, heard, view.counted, nees, _enough(view), not has_failed, best
     )
     if not has_failed:
         # The tails say more than a mean which a few runs decide.
@@ -81,6 +82,7 @@ def judged_innovations(
     nees: np.ndarray,
     enough: str = "more --steps",
     explain: bool = True,
+    nees_centre: np.ndarray | None = None,
 ) -> tuple[InnovationFigures, Finding]:
     """Return the figures of innovations (R, S, N, r, m), and the finding on honesty.
 
@@ -91,6 +93,7 @@ def judged_innovations(
         nees: (R, S), mean of the nodes' normalised errors squared per state; NaN for unknown.
         enough: the options of a run that is long enough to judge.
         explain: whether to ask the plant's own data, which takes seconds.
+        nees_centre: as `nees`, of the filter that hears everything; None for unknown.
     """
     outside = outside_model(setup, heard.belief, counted)
     counted = counted & ~outside.steps
@@ -102,7 +105,9 @@ def judged_innovations(
     nis, anees = (_interval_of(one, ESTIMATES_CONFIDENCE) for one in (nis_per_step(mine), nees))
     told = definition_of(setup.scenario).explain if explain else lambda *_: Explanation()
     explained = told(setup, heard.belief, counted)
-    found = honesty(setup.scenario, diagnosis, nis, anees, explained, enough)
+    unknown = np.full_like(nees, np.nan)
+    best = _interval_of(unknown if nees_centre is None else nees_centre, ESTIMATES_CONFIDENCE)
+    found = honesty(setup.scenario, diagnosis, nis, anees, explained, enough, best)
     said = found.said + outside_in_words(outside.shares)
     return figures, msgspec.structs.replace(found, said=said)
 

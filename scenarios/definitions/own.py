@@ -6,7 +6,9 @@ from typing import Any
 
 import msgspec
 
-from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_truth import OwnTruth, Sensed, TruePlant, sensors_of_nodes
+from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.option import Choice, require_kind
@@ -22,8 +24,9 @@ from concord.scenarios.user.values import (
 
 def own_scenario(
     plant: OwnPlant,
-    sensors: Sequence[OwnSensor | None],
+    sensors: Sequence[Sensed],
     *,
+    truth: TruePlant | None = None,
     nodes: int | None = None,
     graph: Any = "ring",
     steps: int = 200,
@@ -35,7 +38,8 @@ def own_scenario(
 
     Args:
         plant: truth, and the model of every filter.
-        sensors: dealt to the nodes in turn; None is a blind node.
+        sensors: dealt to the nodes in turn; a list for a node of several, None for a blind one.
+        truth: what plant and sensors really do, where the filters believe something else.
         nodes: number of nodes; one for each sensor when left out.
         graph: who hears whom, as in `--graph`, or a graph of networkx or a matrix.
         steps: sampling instants.
@@ -47,27 +51,38 @@ def own_scenario(
         ValueError: a sensor that cannot read the plant's states, or states that it does not have.
     """
     require_kind("plant", plant, OwnPlant, "an OwnPlant")
-    require_sensors(plant, sensors)
-    dealt = tuple(sensor and plant.seen_by(sensor) for sensor in sensors)
+    if truth is not None:
+        require_kind("truth", truth, TruePlant, "a Truth")
+    dealt = sensors_of_nodes(plant, sensors, truth)
+    moving = plant if truth is None else truth.plant_of(plant)
 
     @cache
-    def truth(count: int) -> OwnTruth:
-        return OwnTruth(plant, tuple(dealt[node % len(dealt)] for node in range(count)))
+    def there(count: int) -> OwnTruth:
+        return OwnTruth(moving, tuple(dealt[node % len(dealt)] for node in range(count)), plant)
 
-    score = own_score(truth(1).state_units, scored_states, first_scored_step)
+    score = own_score(there(1).state_units, scored_states, first_scored_step)
     asked = {"nodes": nodes, "graph": graph, "steps": steps}
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")
 
+    def late_steps(scenario: Scenario) -> tuple[int, ...]:
+        own = there(scenario.nodes)
+        late = tuple(own.late_steps(node) for node in range(scenario.nodes))
+        return late if any(late) else ()
+
     def check(scenario: Scenario) -> None:
-        truth(scenario.nodes).positions(0)
+        own = there(scenario.nodes)
+        own.positions(0)
+        own.require_inputs(scenario.steps)
+        refuse_late(scenario, late_steps(scenario), own.gated, "delay_s")
 
     definition = ScenarioDefinition(
         defaults=Scenario(plant=UserPlant(), network=network, steps=200).with_(**given),
         check=check,
-        plant=lambda scenario: truth(scenario.nodes),
+        plant=lambda scenario: there(scenario.nodes),
         model=lambda _: plant,
-        sensor=lambda scenario, node: truth(scenario.nodes).sensors[node],
+        sensor=lambda scenario, node: there(scenario.nodes).sensor(node),
+        late_steps=late_steps,
         score=score,
         radio_range_m=radio_range_m,
         origin=lambda _: plant.prior_mean,

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
+from concord.plants.own_truth import OwnTruth, sensors_of_nodes
 from concord.plants.placement import Draws, GeneratorFor
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import own_scenario
@@ -14,6 +16,7 @@ MATRIX = np.array([[1.0, 0.1], [0.0, 0.95]])
 PLANT = OwnPlant(f=lambda x: x @ MATRIX.T, Q=[1e-4, 1e-2], mean=[0, 0], cov=[4, 4])
 PLACE = OwnSensor(h=lambda x: x[..., :1], R=0.01)
 SPEED = OwnSensor(h=lambda x: x[..., 1:], R=0.01)
+SENSED = sensors_of_nodes(PLANT, [PLACE, None, PLACE, None, PLACE])
 CALLS = [0.0]
 
 
@@ -53,9 +56,7 @@ SENSORS = _definition(sensor=OwnSensor(h=_jumping, R=0.01))
 NOISE = _definition()._replace(
     model=lambda _: Indefinite(f=PLANT.f, Q=PLANT.Q, mean=PLANT.mean, cov=PLANT.cov)
 )
-DRAWS = _definition()._replace(
-    plant=lambda scenario: OneStream(PLANT, (PLACE, None, PLACE, None, PLACE)[: scenario.nodes])
-)
+DRAWS = _definition()._replace(plant=lambda scenario: OneStream(PLANT, SENSED[: scenario.nodes]))
 AGREEMENT = own_scenario(replace(PLANT, f=_restless), [PLACE, None], nodes=4, steps=60)
 CENTRALISED = _definition()._replace(model=lambda _: replace(PLANT, Q=[1e-8, 1e-6]))
 OBSERVABLE = own_scenario(PLANT, [SPEED], nodes=2, steps=60)

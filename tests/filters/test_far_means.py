@@ -13,7 +13,8 @@ from concord.filters.fusion.averaging import (
 from concord.filters.fusion.hold import inverse_volume, times_inverse_volume
 from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.gaussian import Gaussian
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.definitions.own import own_scenario

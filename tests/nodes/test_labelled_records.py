@@ -12,7 +12,7 @@ from concord.nodes.rules.labelled.frame import Labelled, LabelledFrameCodec, Lab
 from concord.nodes.rules.labelled.record_codec import PACKED, RecordCodec, record_codec
 from concord.nodes.rules.labelled.record_sets import packed
 from concord.nodes.vector_codec import BeliefCodec
-from concord.plants.own_plant import OwnSensor
+from concord.plants.own_sensor import OwnSensor
 from concord.plants.range_bearing import RangeBearing
 from tests.nodes.networks import random_cov
 

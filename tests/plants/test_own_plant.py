@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from concord.plants.linear_systems import from_control
-from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
+from concord.plants.own_truth import OwnTruth, sensors_of_nodes
 
 MATRIX = np.array([[1.0, 0.1], [-0.2, 0.9]])
 LINEAR = OwnPlant(f=lambda x: x @ MATRIX.T, Q=[0.01, 0.04], mean=[1, 2], cov=[[2, 0.5], [0.5, 1]])
@@ -17,7 +19,7 @@ BOTH = OwnSensor(h=lambda x: x, R=[[1.0, 0.6], [0.6, 1.0]])
 
 
 def test_truth_and_readings_have_the_moments_that_were_given():
-    truth = OwnTruth(LINEAR, (FIRST, BOTH, None))
+    truth = OwnTruth(LINEAR, sensors_of_nodes(LINEAR, [FIRST, BOTH, None]))
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((100_000, 2))
     state, mean, cov = truth.initial(noise)
@@ -63,9 +65,9 @@ def test_a_plant_that_is_none_is_refused(change: dict, says: str):
 
 def test_sensors_that_cannot_read_the_states_are_refused():
     with pytest.raises(ValueError, match="none of the nodes has one"):
-        require_sensors(LINEAR, [None])
+        sensors_of_nodes(LINEAR, [None])
     with pytest.raises(ValueError, match="must be"):
-        require_sensors(LINEAR, [OwnSensor(h=lambda x: x, R=1.0)])
+        sensors_of_nodes(LINEAR, [OwnSensor(h=lambda x: x, R=1.0)])
     with pytest.raises(ValueError, match="angles"):
         OwnSensor(h=lambda x: x, R=1.0, angles=(1,))
 
@@ -107,7 +109,7 @@ def test_a_jump_by_a_turn_is_found_and_refused_with_its_cure(at: float):
     with pytest.raises(
         ValueError, match=r"h\(x\) jumps by 2 pi in entry 0 .*OwnSensor\(angles=\(0"
     ):
-        require_sensors(heading(mean=[at, 0.3], angles=(0,)), [compass])
+        sensors_of_nodes(heading(mean=[at, 0.3], angles=(0,)), [compass])
 
 
 def test_what_steps_by_no_turn_or_is_steep_is_no_jump():
@@ -129,8 +131,8 @@ def test_a_function_of_the_turn_is_refused_where_the_state_is_an_angle():
     with pytest.raises(ValueError, match=r"state 0 is just below pi.* take it out of angles"):
         heading(f=lambda x: 0.5 * x, angles=(0,))
     with pytest.raises(ValueError, match=r"use the sine and cosine"):
-        require_sensors(heading(angles=(0,)), [OwnSensor(h=lambda x: 0.5 * x, R=[1, 1])])
-    require_sensors(heading(angles=(0,)), [OwnSensor(h=lambda x: np.cos(x), R=[1, 1])])
+        sensors_of_nodes(heading(angles=(0,)), [OwnSensor(h=lambda x: 0.5 * x, R=[1, 1])])
+    sensors_of_nodes(heading(angles=(0,)), [OwnSensor(h=lambda x: np.cos(x), R=[1, 1])])
 
 
 @given(st.floats(-40, 40), st.floats(-300, 300))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import concord as cc
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.scenarios.definitions.own import own_scenario, portable
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario

@@ -13,7 +13,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import DRIVERS, in_memory
 from concord.scenarios.catalogue import definition_named

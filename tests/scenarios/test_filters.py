@@ -9,7 +9,8 @@ from concord.entries import summaries
 from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.results.records.trace import read_trace
 from concord.results.smoothing import check_smoothing
 from concord.runtime.drivers import in_memory

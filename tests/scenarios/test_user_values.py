@@ -15,7 +15,8 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.moments import Model, Residual
 from concord.filters.update import Update, condition
 from concord.plants.oscillator import POSITION, VELOCITY, Oscillation
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.results.folder import from_copies, keep_copies
 from concord.scenarios.definitions.own import own_scenario, portable
 from concord.scenarios.preparation import fingerprint, prepare

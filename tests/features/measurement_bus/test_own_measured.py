@@ -13,7 +13,8 @@ from concord.features.measurement_bus.sensed import sensors_on_a_bus
 from concord.features.sets.bounded_plant import BoundedOutput, BoundedPlant
 from concord.features.sets.options import EllipsoidReceiver
 from concord.filters.metrics import nees
-from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
