@@ -78,7 +78,7 @@ def test_a_system_of_python_control_is_sampled():
     plant, sensor = from_control(continuous, time_step_s=0.1, **law)
     state = np.array([1.0, -2.0])
     expected = expm(np.array([[0, 1], [-1, -0.1]]) * 0.1) @ state
-    assert plant.f(state) == pytest.approx(expected)
+    assert plant.transition(state, None, 0) == pytest.approx(expected)
     assert sensor.h(state) == pytest.approx([1.0])
     with pytest.raises(ValueError, match="give time_step_s"):
         from_control(continuous, **law)
