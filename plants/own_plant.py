@@ -85,6 +85,16 @@ class OwnPlant:
         """Number of states n."""
         return len(self.prior_mean)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.state_names or tuple(f"x{i}" for i in range(self.states))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the states; "" where the user named none."""
+        return self.state_units or ("",) * self.states
+
     @cached_property
     def prior_mean(self) -> np.ndarray:
         """Mean (n,) of the first state."""

@@ -157,12 +157,12 @@ class OwnTruth:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
-        return self.plant.state_names or tuple(f"x{i}" for i in range(self.plant.states))
+        return self.plant.names
 
     @property
     def state_units(self) -> tuple[str, ...]:
         """Units of the states; "" where the user named none."""
-        return self.plant.state_units or ("",) * self.plant.states
+        return self.plant.units
 
     @cached_property
     def _entries(self) -> int:

@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import ClassVar, TypeVar
 
 import msgspec
@@ -84,6 +85,8 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
         raise ValueError(f"the column map is not valid: {error}") from error
     times = {f"time of {name}": column.time for name, column in columns.columns.items()}
     for quantity, series in {"time": columns.time, **times, **columns.columns}.items():
+        if kind.si_units.get(quantity) == "":
+            continue
         alike = _units_of(quantity, kind.si_units)
         if series is not None and series.unit not in (None, *alike):
             raise ValueError(
@@ -93,7 +96,10 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
 
 
 def read_channels(
-    folder: str | Path, columns: Mapping[str, Column], default: LogMap
+    folder: str | Path,
+    columns: Mapping[str, Column],
+    default: LogMap,
+    opened: Mapping[Path, LogFile] = MappingProxyType({}),
 ) -> dict[str, ChannelReadings]:
     """Return the channels of columns by their quantities, each file read once.
 
@@ -101,11 +107,12 @@ def read_channels(
         folder: of the files that the columns name.
         columns: of the quantities.
         default: file and time of a column that names none.
+        opened: files that are open already.
 
     Raises:
         ValueError: naming file and cure, for what is missing or cannot be read.
     """
-    files: dict[Path, LogFile] = {}
+    files = dict(opened)
     channels = {}
     notes: dict[tuple[Path, str], list[str]] = {}
     for quantity, column in columns.items():
@@ -168,6 +175,9 @@ def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.nda
         raise ValueError(f"no column {one.column!r} for {quantity}; there are {there}{lost}")
     told, alike = file.unit(one.column), _units_of(quantity, default.si_units)
     unit = one.unit or told
+    if default.si_units.get(quantity) == "":
+        # A quantity that the user gave no unit is what the numbers are.
+        return one.scale * file.series(one.column) + one.offset
     if unit is None or unit not in alike:
         raise ValueError(
             f"{one.column!r} for {quantity} has the unit {unit or 'of no line'}; give the column "

@@ -1,10 +1,14 @@
 """Logs in netCDF files, as xarray writes them."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from concord.plants.recorded.log_file import LogFile
+
+if TYPE_CHECKING:
+    import xarray
 
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -16,8 +20,8 @@ class DatasetFile(LogFile):
     ns. Dates count from 1970, exact to 0.3 us.
     """
 
-    def __init__(self, file: Path) -> None:
-        """Read the file.
+    def __init__(self, file: "Path | xarray.Dataset") -> None:
+        """Read the file, or take a data set.
 
         Raises:
             ValueError: it cannot be read.
@@ -25,11 +29,14 @@ class DatasetFile(LogFile):
         import xarray  # here, so that a node process never loads it
 
         try:
-            self._variables = xarray.load_dataset(
-                file, engine="h5netcdf", decode_timedelta=False
-            ).variables
+            dataset = (
+                file
+                if isinstance(file, xarray.Dataset)
+                else xarray.load_dataset(file, engine="h5netcdf", decode_timedelta=False)
+            )
         except (OSError, ValueError) as error:
             raise ValueError(f"{file}: cannot be read as netCDF ({error})") from None
+        self._variables = dataset.variables
         self.names = tuple(
             str(name)
             for name, variable in self._variables.items()

@@ -2,12 +2,18 @@
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from concord.plants.own_plant import OwnPlant
-from concord.plants.own_truth import OwnTruth, Sensed, TruePlant, sensors_of_nodes
+from concord.plants.own_truth import (
+    NodeSensors,
+    OwnTruth,
+    Sensed,
+    TruePlant,
+    sensors_of_nodes,
+)
 from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
@@ -21,15 +27,19 @@ from concord.scenarios.user.values import (
     value_of,
 )
 
+if TYPE_CHECKING:
+    from concord.plants.own_readings import OwnReplay
+
 
 def own_scenario(
     plant: OwnPlant,
     sensors: Sequence[Sensed],
     *,
     truth: TruePlant | None = None,
+    readings: Any = None,
     nodes: int | None = None,
     graph: Any = "ring",
-    steps: int = 200,
+    steps: int | None = None,
     scored_states: Sequence[int] = (0,),
     first_scored_step: int = 20,
     radio_range_m: float | None = None,
@@ -40,15 +50,18 @@ def own_scenario(
         plant: truth, and the model of every filter.
         sensors: dealt to the nodes in turn; a list for a node of several, None for a blind one.
         truth: what plant and sensors really do, where the filters believe something else.
+        readings: of a log in place of simulated ones: a file, a folder with `columns.toml`, or an
+            `xarray.Dataset` (docs/own_plant.md).
         nodes: number of nodes; one for each sensor when left out.
         graph: who hears whom, as in `--graph`, or a graph of networkx or a matrix.
-        steps: sampling instants.
+        steps: sampling instants; 200, or those of the log, when left out.
         scored_states: states of the RMSE, all of one unit.
         first_scored_step: scored from here on, so that the start does not rule the figures.
         radio_range_m: reach of a node in the geometric graph of a plant with positions.
 
     Raises:
-        ValueError: a sensor that cannot read the plant's states, or states that it does not have.
+        ValueError: a sensor that cannot read the plant's states, states that it does not have, or
+            readings that cannot be read.
     """
     require_kind("plant", plant, OwnPlant, "an OwnPlant")
     if truth is not None:
@@ -56,12 +69,14 @@ def own_scenario(
     dealt = sensors_of_nodes(plant, sensors, truth)
     moving = plant if truth is None else truth.plant_of(plant)
 
+    log = None if readings is None else _log(plant, dealt, readings, truth, nodes)
+
     @cache
     def there(count: int) -> OwnTruth:
         return OwnTruth(moving, tuple(dealt[node % len(dealt)] for node in range(count)), plant)
 
     score = own_score(there(1).state_units, scored_states, first_scored_step)
-    asked = {"nodes": nodes, "graph": graph, "steps": steps}
+    asked = {"nodes": nodes, "graph": graph, "steps": steps or (log and log.steps)}
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")
 
@@ -74,20 +89,56 @@ def own_scenario(
         own = there(scenario.nodes)
         own.positions(0)
         own.require_inputs(scenario.steps)
+        if log is not None:
+            _check_log(scenario, log)
         refuse_late(scenario, late_steps(scenario), own.gated, "delay_s")
 
     definition = ScenarioDefinition(
         defaults=Scenario(plant=UserPlant(), network=network, steps=200).with_(**given),
         check=check,
-        plant=lambda scenario: there(scenario.nodes),
+        plant=lambda scenario: log or there(scenario.nodes),
         model=lambda _: plant,
         sensor=lambda scenario, node: there(scenario.nodes).sensor(node),
         late_steps=late_steps,
+        all_steps=None if log is None else lambda _: log.steps,
         score=score,
         radio_range_m=radio_range_m,
         origin=lambda _: plant.prior_mean,
     )
     return user_definition(kept_source(definition)).defaults
+
+
+def _log(
+    plant: OwnPlant,
+    dealt: tuple[NodeSensors | None, ...],
+    readings: Any,
+    truth: TruePlant | None,
+    nodes: int | None,
+) -> "OwnReplay":
+    # Only here: a simulated plant needs no reader of logs.
+    from concord.plants.own_readings import replayed
+
+    if truth is not None:
+        raise ValueError("truth: readings have a truth of their own; leave one of the two out")
+    if nodes not in (None, len(dealt)):
+        raise ValueError(
+            f"nodes {nodes}: the readings are of {len(dealt)} nodes, one for each of sensors; "
+            "leave nodes out"
+        )
+    return replayed(plant, dealt, readings)
+
+
+def _check_log(scenario: Scenario, log: "OwnReplay") -> None:
+    nodes = log.readings.shape[1]
+    if scenario.nodes != nodes:
+        raise ValueError(
+            f"--nodes {scenario.nodes}: the log has readings of {nodes} nodes; leave --nodes out"
+        )
+    if scenario.steps > log.steps:
+        raise ValueError(
+            f"--steps {scenario.steps}: the log has {log.steps} steps of {log.time_step_s:g} s; "
+            "ask for fewer, or leave --steps out"
+        )
 
 
 def own_score(state_units: Sequence[str], scored_states: Sequence[int], first_step: int) -> Score:

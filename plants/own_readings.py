@@ -1,0 +1,211 @@
+"""Readings of a log in place of the noise of an own plant."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import named_channels
+from concord.plants.own_truth import NodeSensors
+from concord.plants.placement import Draws, GeneratorFor
+from concord.plants.recorded.channels import (
+    ChannelReadings,
+    grid_over,
+    mean_by_step,
+    readings_by_step,
+)
+from concord.plants.recorded.columns import Column, LogMap, Stamps, map_from_toml, read_channels
+from concord.plants.recorded.dataset_files import DatasetFile
+from concord.plants.recorded.log_file import LogFile
+from concord.plants.recorded.log_files import open_log
+from concord.plants.recorded.text_files import text_of
+
+COLUMNS = "columns.toml"
+_TIME = "time"
+_TRUTH = "truth of "
+
+
+@dataclass(frozen=True, eq=False)
+class OwnReplay:
+    """The sensors of an own plant deliver the readings of a log; a run repeats them.
+
+    Attributes:
+        plant: that the filters believe in.
+        truth: (steps, n), NaN where the log does not know it.
+        readings: (steps, nodes, r, d), up to r of one step; NaN for none.
+    """
+
+    plant: OwnPlant
+    truth: np.ndarray
+    readings: np.ndarray
+
+    @property
+    def time_step_s(self) -> float:
+        """Sampling time."""
+        return self.plant.time_step_s
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.plant.names
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Units of the states; "" where the user named none."""
+        return self.plant.units
+
+    @property
+    def steps(self) -> int:
+        """Number of instants of the log."""
+        return len(self.truth)
+
+    def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
+        """Return no noise; the log has its own."""
+        shape = (steps, *self.readings.shape[1:])
+        return Draws(np.zeros(self.plant.states), np.empty((steps, 0)), np.zeros(shape))
+
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """True state (..., n), prior mean (..., n) and prior cov (n, n)."""
+        prior = self.plant
+        mean = np.broadcast_to(prior.prior_mean, noise.shape).copy()
+        return np.broadcast_to(self.truth[0], noise.shape), mean, prior.prior_cov
+
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
+        """States (..., n) that the log knows one step later; NaN after its end."""
+        after = self.truth[step + 1] if step + 1 < self.steps else np.nan
+        return np.broadcast_to(after, state.shape)
+
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
+        """Readings (..., nodes, r, d) of a step."""
+        return self.readings[step] + noise
+
+    def positions(self, step: int) -> np.ndarray | None:
+        """Return the nodes' places (nodes, 2) in m; None where the user named none."""
+        return self.plant.places
+
+
+def replayed(
+    plant: OwnPlant, nodes: Sequence[NodeSensors | None], source: str | Path | Any
+) -> OwnReplay:
+    """Return the plant that delivers the readings of a log.
+
+    A channel of a sensor is the series "NAME CHANNEL", also with a dot or a line between both, or
+    the one that the columns file gives. A state whose name the log has is its truth.
+
+    Args:
+        plant: that the filters believe in.
+        nodes: sensors of each node; each channel has a name of its own.
+        source: a file, a folder with `columns.toml`, or an `xarray.Dataset`.
+
+    Raises:
+        ValueError: naming file, series and cure, for what is missing or cannot be read.
+    """
+    channels = _channels_of(nodes)
+    truths = {f"{_TRUTH}{name}": unit for name, unit in zip(plant.names, plant.units, strict=True)}
+    units = {name: unit for name, unit in channels.values()} | truths
+    found = _read(source, units)
+    read = {name: one for name, one in found.items() if name not in truths and len(one.values)}
+    if not read:
+        raise ValueError(
+            f"readings {source}: none of {', '.join(name for name, _ in channels.values())} is "
+            f"there; name series so, or map them in {COLUMNS}"
+        )
+    grid = grid_over(read, plant.time_step_s)
+    placed = {
+        place: readings_by_step(read[name], grid)
+        for place, (name, _) in channels.items()
+        if name in read
+    }
+    most = max(one.shape[1] for one in placed.values())
+    width = max(entry for _, entry in channels) + 1
+    readings = np.full((grid.steps, len(nodes), most, width), np.nan)
+    for (node, entry), one in placed.items():
+        readings[:, node, : one.shape[1], entry] = one
+    truth = np.full((grid.steps, plant.states), np.nan)
+    for state, name in enumerate(truths):
+        if name in found:
+            truth[:, state] = mean_by_step(_within(found[name], grid.instants_s), grid)
+    return OwnReplay(plant, truth, readings)
+
+
+def _channels_of(nodes: Sequence[NodeSensors | None]) -> dict[tuple[int, int], tuple[str, str]]:
+    """Name and unit of the channel of each node and entry."""
+    found: dict[tuple[int, int], tuple[str, str]] = {}
+    owners: dict[str, int] = {}
+    for node, sensors in enumerate(nodes):
+        each = () if sensors is None else sensors.believed
+        pairs = [pair for one in each for pair in named_channels(one)]
+        for entry, (name, unit) in enumerate(pairs):
+            if name in owners:
+                raise ValueError(
+                    f"readings: nodes {owners[name]} and {node} both have a channel {name!r}; give "
+                    "each sensor a name of its own, and each node its own sensors"
+                )
+            owners[name] = node
+            found[node, entry] = (name, unit)
+    return found
+
+
+def _within(channel: ChannelReadings, instants_s: np.ndarray) -> ChannelReadings:
+    half_s = 0.5 * (instants_s[1] - instants_s[0]) if len(instants_s) > 1 else 0.0
+    inside = (channel.stamps_s > instants_s[0] - half_s) & (
+        channel.stamps_s < instants_s[-1] + half_s
+    )
+    return ChannelReadings(channel.stamps_s[inside], channel.values[inside])
+
+
+def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
+    """Read the channels and true states that have these units, "" for any."""
+
+    class OwnLogMap(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
+        si_units: ClassVar[Mapping[str, str]] = units
+        channels: dict[str, Column] = msgspec.field(default_factory=dict)
+        truth: dict[str, Column] = msgspec.field(default_factory=dict)
+
+        @property
+        def columns(self) -> dict[str, Column]:
+            """The columns by channel and state."""
+            return self.channels | {f"{_TRUTH}{name}": one for name, one in self.truth.items()}
+
+    if not isinstance(source, str | Path):
+        return _read_file(DatasetFile(source), Path("readings"), units, OwnLogMap)
+    path = Path(source)
+    if not path.is_dir():
+        return _read_file(open_log(path), path, units, OwnLogMap)
+    columns_file = path / COLUMNS
+    try:
+        own = map_from_toml(text_of(columns_file), OwnLogMap)
+    except ValueError as error:
+        raise ValueError(f"{columns_file}: {error}") from None
+    if strange := own.columns.keys() - units.keys():
+        raise ValueError(
+            f"{columns_file}: no sensor or state has {', '.join(sorted(strange))}; there are "
+            f"{', '.join(units)}"
+        )
+    return read_channels(path, own.columns, own)
+
+
+def _read_file(
+    file: LogFile, path: Path, units: Mapping[str, str], kind: type[LogMap]
+) -> dict[str, ChannelReadings]:
+    """Read the series of a file that have the names of channels and states."""
+    spelled = {_plain(name): name for name in file.names}
+    asked = {name: _plain(name.removeprefix(_TRUTH)) for name in units}
+    columns = {
+        name: Column(column=spelled[plain], unit=file.unit(spelled[plain]) or units[name] or None)
+        for name, plain in asked.items()
+        if plain in spelled
+    }
+    time = Stamps(spelled[_TIME], file.unit(spelled[_TIME]) or "s") if _TIME in spelled else None
+    return read_channels(path.parent, columns, kind(file=path.name, time=time), {path: file})
+
+
+def _plain(name: str) -> str:
+    """A name in which spaces, dots and lines are alike."""
+    return "_".join(name.replace(".", " ").replace("_", " ").split())

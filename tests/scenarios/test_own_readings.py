@@ -1,0 +1,134 @@
+"""Own plants with the readings of a log: one log in every form, and what a log does not hold."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from concord.plants.own_plant import OwnPlant
+from concord.plants.own_sensor import OwnSensor
+from concord.results.figures.summary import summarise
+from concord.results.records.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.definitions.own import own_scenario
+from concord.scenarios.preparation import prepare
+from concord.studies.monte_carlo.simulate import AGES, INNOVATIONS, READINGS, simulate
+from tests.test_batched_agreement import check_agreement
+
+STEP_S = 0.1
+MOVE = np.array([[1.0, STEP_S], [0.0, 0.98]])
+CART = OwnPlant(
+    f=lambda x: x @ MOVE.T, Q=[1e-5, 1e-2], mean=[0, 0], cov=[1, 1], time_step_s=STEP_S,
+    state_names=("place", "speed"), state_units=("m", "m/s"),
+)  # fmt: skip
+GPS = partial(
+    OwnSensor, h=lambda x: x[..., :1], R=0.04, name="gps", every_s=0.4, channels=(("x", "m"),)
+)
+ODOMETER = OwnSensor(h=lambda x: x[..., 1:], R=0.01, name="wheel", channels=(("v", "m/s"),))
+SENSORS = [GPS(), ODOMETER, None]
+OPTIONS = {"rule": "labelled", "record_number": "float64", "bus": "ideal"}
+KEEP = (READINGS, AGES, INNOVATIONS)
+
+
+def simulated() -> tuple[np.ndarray, np.ndarray]:
+    """Readings (steps, 3, 1, 1) and truth (steps, 2) of a run of the same network."""
+    setup = prepare(own_scenario(CART, SENSORS, steps=80).with_(**OPTIONS))
+    trace = read_trace(setup, in_memory(setup))
+    return trace.readings, trace.truth
+
+
+READ, TRUTH = simulated()
+TIMES_S = 100.0 + STEP_S * np.arange(len(TRUTH))
+
+
+def dataset() -> xarray.Dataset:
+    """The log in memory; a reading that was not taken is NaN."""
+    return xarray.Dataset(
+        {
+            "gps.x": ("time", READ[:, 0, 0, 0]),
+            "wheel_v": ("time", READ[:, 1, 0, 0]),
+            "place": ("time", TRUTH[:, 0]),
+            "speed": ("time", TRUTH[:, 1]),
+        },
+        {"time": ("time", TIMES_S, {"units": "s"})},
+    )
+
+
+def as_csv(folder: Path) -> Path:
+    file = folder / "log.csv"
+    rows = zip(TIMES_S, READ[:, 0, 0, 0], READ[:, 1, 0, 0], *TRUTH.T, strict=True)
+    text = "time,gps x,wheel v,place,speed\n"
+    for row in rows:
+        text += ",".join("" if np.isnan(one) else repr(float(one)) for one in row) + "\n"
+    file.write_text(text)
+    return file
+
+
+def as_folder(folder: Path) -> Path:
+    """In other names and units, with a delay of the stamps."""
+    rows = zip(
+        1e3 * (TIMES_S + 0.05), READ[:, 0, 0, 0], 3.6 * READ[:, 1, 0, 0], *TRUTH.T, strict=True
+    )
+    text = "t,a,b,p,s\n"
+    for row in rows:
+        text += ",".join("" if np.isnan(one) else repr(float(one)) for one in row) + "\n"
+    (folder / "drive.csv").write_text(text)
+    (folder / "columns.toml").write_text(
+        'time = { column = "t", unit = "ms", offset = -0.05 }\n[channels]\n'
+        '"gps x" = { column = "a", unit = "m" }\n"wheel v" = { column = "b", unit = "km/h" }\n'
+        '[truth]\nplace = { column = "p", unit = "m" }\nspeed = { column = "s", unit = "m/s" }\n'
+    )
+    return folder
+
+
+def as_netcdf(folder: Path) -> Path:
+    dataset().to_netcdf(folder / "log.nc", engine="h5netcdf")
+    return folder / "log.nc"
+
+
+@pytest.mark.parametrize("form", [lambda _: dataset(), as_csv, as_folder, as_netcdf])
+def test_a_log_gives_the_figures_of_the_run_that_it_was_written_from(form, tmp_path: Path):
+    asked = own_scenario(CART, SENSORS, readings=form(tmp_path)).with_(**OPTIONS)
+    assert asked.steps == len(TRUTH)
+    setup = prepare(asked)
+    trace = read_trace(setup, in_memory(setup))
+    np.testing.assert_allclose(trace.readings, READ, rtol=1e-12)
+    np.testing.assert_allclose(trace.truth, TRUTH, rtol=1e-12)
+    live = prepare(own_scenario(CART, SENSORS, steps=len(TRUTH)).with_(**OPTIONS))
+    expected = summarise(simulate(live, [0], keep=KEEP))
+    found = summarise(simulate(setup, [0], keep=KEEP))
+    for name in ("rmse", "anees", "rmse_centralised"):
+        assert found.value(name) == pytest.approx(expected.value(name), rel=1e-9)
+
+
+def test_the_drivers_agree_on_a_log_with_a_delayed_sensor():
+    late = [GPS(delay_s=0.25), ODOMETER, None]
+    check_agreement(own_scenario(CART, late, readings=dataset()).with_(**OPTIONS, window_steps=8))
+
+
+def test_without_columns_of_the_truth_the_readings_are_judged():
+    log = dataset().drop_vars(["place", "speed"])
+    found = summarise(
+        simulate(
+            prepare(own_scenario(CART, SENSORS, readings=log).with_(**OPTIONS)), [0], keep=KEEP
+        )
+    )
+    assert np.isnan(found.value("rmse"))
+    assert found.verdict.cause == "consistent", found.verdict.said
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: own_scenario(CART, SENSORS, readings="nowhere.csv"), "nowhere.csv"),
+        (lambda: own_scenario(CART, SENSORS, readings=dataset()[["place"]]), "none of gps x"),
+        (lambda: own_scenario(CART, [GPS(), GPS()], readings=dataset()), "nodes 0 and 1 both have"),
+        (lambda: own_scenario(CART, SENSORS, readings=dataset(), nodes=5), "of 3 nodes"),
+        (lambda: prepare(own_scenario(CART, SENSORS, readings=dataset(), steps=81)), "80 steps"),
+    ],
+)  # fmt: skip
+def test_a_log_that_does_not_fit_is_refused(make, says: str):
+    with pytest.raises(ValueError, match=says):
+        make()
