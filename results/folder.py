@@ -26,6 +26,7 @@ from concord.results.records.netcdf_file import ARRAYS
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.schedules import arbiter_of
+from concord.scenarios.user.trust import require_known
 from concord.scenarios.user.values import (
     FromFile,
     ValueSource,
@@ -177,9 +178,11 @@ def read_description(folder: Path) -> Description:
     """Read run.json.
 
     Raises:
-        ValueError: there is none, or it is not one of ours.
+        ValueError: there is none, it is not one of ours, or it names code or a file of this machine
+            that no run of this user has named (`scenarios/user/trust.py`).
     """
     found = read_description_file(folder / DESCRIPTION)
+    require_known(found.setup.scenario, folder)
     scenario = from_copies(folder, found.setup.scenario)
     setup = msgspec.structs.replace(found.setup, scenario=scenario)
     return msgspec.structs.replace(found, setup=setup)

@@ -38,6 +38,7 @@ from concord.scenarios.types.buses import UserBus, stretch_of
 from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.rules import number_of
 from concord.scenarios.user.bus import check_user_bus
+from concord.scenarios.user.trust import remember
 from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import is_file_name, unknown_name
 
@@ -52,6 +53,7 @@ def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:
     scenario = with_pinned_arbiter(scenario)
     definition = definition_of(scenario)
     definition.refuse(scenario)
+    remember(scenario)
     plant = definition.plant(scenario)
     neighbours, weights, losses, phases = _graph(scenario, plant)
     unborn = Setup(scenario, neighbours, weights, [], [], [], plant.time_step_s, losses, phases)

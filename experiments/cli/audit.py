@@ -11,6 +11,7 @@ import msgspec
 import tyro
 
 from concord.experiments.user_errors import user_errors
+from concord.scenarios.user.trust import trust
 from concord.studies.audit.report import AuditResult, audit
 
 
@@ -22,12 +23,15 @@ class AuditOptions:
     """Folder of a run."""
     json: bool = False
     """Print one JSON object instead of a table."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
 
 
 def audit_folder(options: Annotated[AuditOptions, tyro.conf.arg(name="")]) -> None:
     """Account for each estimate, share, step, join and death of a run, from its recording; the exit
     code is 1 if a promise is broken."""
     with user_errors():
+        trust(options.trust)
         found = audit(options.folder)
     if options.json:
         sys.stdout.write(_json(found))

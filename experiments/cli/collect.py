@@ -51,6 +51,7 @@ from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
+from concord.scenarios.user.trust import trust
 from concord.studies.alternative import BetterRule, labelled_beside
 
 CaptureCycles = Literal["used", "all"]
@@ -86,11 +87,14 @@ class CollectOptions(ResultOptions):
 
     folder: tyro.conf.Positional[Path]
     """Folder of a run."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     """Finish the recording of a run that was interrupted; make its arrays, capture and figures."""
     with user_errors():
+        trust(options.trust)
         description = read_description(options.folder)
         captures = Captures(options.capture == "all", options.capture_nodes)
         check_captures(description.setup, captures)

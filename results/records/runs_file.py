@@ -16,6 +16,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
+from concord.scenarios.user.trust import require_known
 
 if TYPE_CHECKING:
     import xarray
@@ -145,7 +146,7 @@ def runs_of_dataset(data: "xarray.Dataset", setup: Setup | None = None) -> Runs:
         ValueError: it holds no runs, or those of another scenario.
     """
     try:
-        found = setup or prepare(msgspec.json.decode(data.attrs["scenario"], type=Scenario))
+        found = setup or prepare(_own_scenario(data))
         arrays = {n: data[n].to_numpy() if n in data else None for n in _FIELDS}
         mean, truth = data["mean"].to_numpy(), data["truth"]
     except (KeyError, msgspec.DecodeError) as error:
@@ -173,6 +174,12 @@ def runs_of_dataset(data: "xarray.Dataset", setup: Setup | None = None) -> Runs:
         extras=() if extras is None else tuple(extras.read_runs(data, found, there)),
         **arrays,  # pyright: ignore[reportArgumentType]
     )
+
+
+def _own_scenario(data: "xarray.Dataset") -> Scenario:
+    scenario = msgspec.json.decode(data.attrs["scenario"], type=Scenario)
+    require_known(scenario, Path(data.encoding.get("source", "run.nc")))
+    return scenario
 
 
 def read_runs(path: Path, setup: Setup) -> tuple[Runs, RunCost | None]:

@@ -18,6 +18,7 @@ from concord.results.folder import recording_of
 from concord.results.records.netcdf_file import ARRAYS, read_dataset
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.user.trust import require_known
 
 if TYPE_CHECKING:
     import xarray
@@ -71,6 +72,7 @@ def read_evidence(folder: Path) -> Evidence:
     arrays = read_dataset(folder / ARRAYS, _NAMES, f"`concord collect {folder}` makes it again")
     arrays = arrays.isel(run=0)
     scenario = msgspec.json.decode(arrays.attrs["scenario"], type=Scenario)
+    require_known(scenario, folder)
     found = Evidence(scenario, arrays, False, Counter(), {}, {}, {}, [], [], 0)
     frames = frame_format(scenario)
     unreadable, in_real_time = 0, False
