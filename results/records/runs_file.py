@@ -16,7 +16,6 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
-from concord.scenarios.user.trust import require_known
 
 if TYPE_CHECKING:
     import xarray
@@ -177,6 +176,9 @@ def runs_of_dataset(data: "xarray.Dataset", setup: Setup | None = None) -> Runs:
 
 
 def _own_scenario(data: "xarray.Dataset") -> Scenario:
+    # Only here: most records come from runs, and from no file.
+    from concord.scenarios.user.trust import require_known
+
     scenario = msgspec.json.decode(data.attrs["scenario"], type=Scenario)
     require_known(scenario, Path(data.encoding.get("source", "run.nc")))
     return scenario
