@@ -14,6 +14,7 @@ from concord.results.places import new_name
 from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
 from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.json_file import read_json, write_json
+from concord.runtime.recording import origin_of
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -217,7 +218,10 @@ def recording_of(folder: Path) -> Path:
 
 def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
     """Write run.nc with what was run, or leave none."""
+    described = folder / DESCRIPTION
+    asked = read_description_file(described) if described.is_file() else description
     dataset = dataset.assign_attrs(
+        origin=msgspec.json.encode(origin_of(asked.setup, asked.run)).decode(),
         title=f"concord run {description.run}",
         driver=description.driver,
         seed=description.setup.scenario.seed,

@@ -4,17 +4,19 @@ A file is written without chunks, so that it can be read up to the last message 
 are the plant's, not the clock's.
 """
 
+import hashlib
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import BufferedReader, BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import msgspec
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, McapRecord
+from mcap.records import Channel, McapRecord, Metadata
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
@@ -24,8 +26,24 @@ from concord.disk import NotWritten, writing
 from concord.nodes.bounds import UNREADABLE, Instant
 from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode, message_types
+from concord.scenarios.setup import Setup
 
+ORIGIN = "concord"
+"""Name of the metadata record that says of which run a recording is."""
 _RECORD_HEADER = struct.Struct("<BQ")
+
+
+def origin_of(setup: Setup, run: str) -> dict[str, str]:
+    """Return what says of which run a file is: its name, scenario, seed, steps and setup."""
+    scenario = setup.scenario
+    digest = hashlib.sha256(msgspec.json.encode(setup)).hexdigest()[:16]
+    return {
+        "run": run,
+        "scenario": scenario.name,
+        "seed": str(scenario.seed),
+        "steps": str(scenario.steps),
+        "setup": digest,
+    }
 
 
 class Recorder(Protocol):
@@ -72,13 +90,19 @@ class McapRecorder:
     """
 
     def __init__(
-        self, path: Path, rounds: int, time_step_s: float, frame_format: FrameFormat
+        self,
+        path: Path,
+        rounds: int,
+        time_step_s: float,
+        frame_format: FrameFormat,
+        origin: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
+        """`origin` says of which run the messages are, in a metadata record (`ORIGIN`)."""
         self._frames = frame_format
         self._history = history_of(rounds, ())
         self._last_ns = 0
         self._step_ns = round(time_step_s * 1e9)
-        self._path = path
+        self._path, self._origin = path, origin
         with writing(path):
             self._begin()
 
@@ -86,6 +110,8 @@ class McapRecorder:
         self._file = self._path.open("wb")
         self._writer = Writer(self._file, use_chunking=False)
         self._writer.start(profile="", library="concord")
+        if self._origin:
+            self._writer.add_metadata(ORIGIN, dict(self._origin))
         self._schemas = {
             topic: self._writer.register_schema(
                 name=type_.__name__,
@@ -181,6 +207,20 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
             topics[record.id] = record.topic
         elif isinstance(record, McapMessage):
             yield topics[record.channel_id], record.data
+
+
+def recorded_origin(path: Path) -> dict[str, str]:
+    """Return what a recording says of its run (`origin_of`); nothing where it says nothing.
+
+    Raises:
+        ValueError: the file is not an MCAP recording.
+    """
+    for record in whole_records(path):
+        if isinstance(record, Metadata) and record.name == ORIGIN:
+            return record.metadata
+        if isinstance(record, McapMessage):
+            break
+    return {}
 
 
 def whole_records(path: Path) -> Iterator[McapRecord]:
