@@ -140,6 +140,8 @@ def finish(
         **pace._asdict(),
         smoothing=_smoothing(folder, description, trace, found.first_step) if smooth else None,
     )
+    if trace.damaged_bytes:
+        figures = figures.with_details(damaged_bytes=trace.damaged_bytes)
     show(figures, description, folder, shown, labelled_beside(runs, figures))
     return figures
 
@@ -184,6 +186,11 @@ def show(
         console.print(channel_table(innovations))
     smoothing = figures.details.get("smoothing")
     more = [] if smoothing is None else [smoothing_line(smoothing, figures.unit)]
+    if damaged_bytes := figures.details.get("damaged_bytes"):
+        more.append(
+            f"  damage   {damaged_bytes} bytes in the middle of {RECORDING} are no messages and "
+            "were skipped; what they held is empty in run.nc"
+        )
     for line in (*more, *lines(figures), *(details(figures) if shown.verbose else ())):
         console.print(line)
     if shown.verbose:

@@ -28,7 +28,8 @@ from concord.nodes.messages import (
 )
 from concord.results.folder import read_description, read_description_file, recording_of
 from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION, RECORDING, read_dataset
-from concord.runtime.recording import origin_of, recorded_origin, whole_records
+from concord.runtime.recording import DAMAGE, origin_of, recorded_origin
+from concord.runtime.recording_file import Damage, whole_records
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.user.trust import require_known
@@ -132,14 +133,13 @@ def read_evidence(folder: Path) -> Evidence:
 
 def _messages(path: Path) -> Iterator[tuple[str, bytes, int]]:
     topics: dict[int, str] = {}
-    try:
-        for record in whole_records(path):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, McapMessage):
-                yield topics[record.channel_id], record.data, record.log_time
-    except KeyError as error:
-        raise ValueError(f"{path}: has a message of no channel ({error}); it is damaged") from None
+    for record in whole_records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, McapMessage):
+            yield topics.get(record.channel_id, DAMAGE), record.data, record.log_time
+        elif isinstance(record, Damage):
+            yield DAMAGE, b"%d" % record.length, 0
 
 
 class _Reader:
