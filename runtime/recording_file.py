@@ -32,6 +32,7 @@ _LONGEST = 1 << 26
 _BLOCK_BYTES = 1 << 20
 # Beside a JSON object, a frame of a bus is all that a message holds.
 _LONGEST_FRAME = 262
+_ENOUGH_RECORDS = 8
 _CANDIDATE = re.compile(rb"(?=\x05.{4}\x00{4})", re.DOTALL)
 
 
@@ -91,10 +92,23 @@ class RecordFile:
             return None
         opcode, length = header
         span = Span(opcode, at, at + HEADER.size + length)
-        follows = self._header(span.end) is not None
-        # At the end of the file, or before damage, the content has to speak for itself.
-        is_last = opcode != Opcode.MESSAGE and span.end + HEADER.size > self.size
-        return span if follows or is_last or self._looks_whole(span) else None
+        if opcode == Opcode.MESSAGE:
+            # Bytes of an intruder are kept too: then the records behind have to tell.
+            return span if self._looks_whole(span) or self._follow(span.end) else None
+        is_last = span.end + HEADER.size > self.size
+        return span if is_last or self._header(span.end) else None
+
+    def _follow(self, at: int) -> bool:
+        """Whether several records follow, or as many as there are."""
+        for _ in range(_ENOUGH_RECORDS):
+            if at + HEADER.size > self.size:
+                return at == self.size
+            if (header := self._header(at)) is None:
+                return False
+            if header == (Opcode.FOOTER, 0):
+                return True
+            at += HEADER.size + header[1]
+        return True
 
     def _header(self, at: int) -> tuple[int, int] | None:
         read = self.read(at, HEADER.size)
@@ -111,9 +125,7 @@ class RecordFile:
         return self.size if opcode in (SKIPPED, Opcode.CHUNK) else _LONGEST
 
     def _looks_whole(self, span: Span) -> bool:
-        """Whether a message that damage follows ends as messages do."""
-        if span.opcode != Opcode.MESSAGE:
-            return False
+        """Whether a message ends as messages do."""
         length = span.end - span.start - HEADER.size - _MESSAGE.size
         first, last = (self.read(at, 1) for at in (span.end - length, span.end - 1))
         return last == b"}" if first == b"{" else length <= _LONGEST_FRAME
