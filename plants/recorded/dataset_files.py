@@ -6,6 +6,8 @@ import numpy as np
 
 from concord.plants.recorded.log_file import LogFile
 
+# A file may claim numbers that it does not hold; compressed series are seldom a hundredth.
+_MOST_BYTES, _MOST_EXPANDED = 100_000_000, 1000
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -25,11 +27,13 @@ class DatasetFile(LogFile):
         import xarray  # here, so that a node process never loads it
 
         try:
-            self._variables = xarray.load_dataset(
-                file, engine="h5netcdf", decode_timedelta=False
-            ).variables
-        except (OSError, ValueError) as error:
-            raise ValueError(f"{file}: cannot be read as netCDF ({error})") from None
+            with xarray.open_dataset(file, engine="h5netcdf", decode_timedelta=False) as opened:
+                if opened.nbytes > max(_MOST_BYTES, _MOST_EXPANDED * file.stat().st_size):
+                    raise ValueError(f"it claims {opened.nbytes} bytes")
+                self._variables = opened.load().variables
+        except Exception as error:  # HDF5, h5py and xarray raise what they meet in broken files
+            why = str(error).partition("\n")[0] or type(error).__name__
+            raise ValueError(f"{file}: cannot be read as netCDF ({why[:200]})") from None
         self.names = tuple(
             str(name)
             for name, variable in self._variables.items()

@@ -26,7 +26,8 @@ class TimingFigures(msgspec.Struct, frozen=True):
 
     `cycles` are counted at each node. `deadline_misses` is the sum of two counts: `incomplete`
     cycles ended without an expected message, `overrun` cycles began after their own deadline.
-    `late_shares` came after their cycle, `late_percent` of all that came; `late_bids` came after the environment had granted the
+    `late_shares` came after their cycle, `late_percent` of all that came;
+    `late_bids` came after the environment had granted the
     slots. `lost_heartbeats` counts steps that began without readings. `skips` counts how often a
     node was far behind and left out the steps between. `cycle_jitter` is the
     lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the age of estimates
@@ -134,7 +135,8 @@ def lines(figures: TimingFigures) -> list[str]:
         f"bus's), a step every {figures.step_ms:.4g} ms",
         f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
         f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
-        f"late shares {figures.late_shares} ({figures.late_percent:.2g} %), bids {figures.late_bids}; steps without readings "
+        f"late shares {figures.late_shares} "
+        f"({figures.late_percent:.2g} %), bids {figures.late_bids}; steps without readings "
         f"{figures.lost_heartbeats}; skips of nodes far behind {figures.skips}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
         f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)} (limit "

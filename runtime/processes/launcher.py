@@ -152,7 +152,7 @@ class _Kept:
             return
         self._next_s = now_s + _LOOK_S
         try:
-            found = os.stat(self._recording)
+            found = Path(self._recording).stat()
         except FileNotFoundError:
             found = None
         there = None if found is None else (found.st_dev, found.st_ino)
