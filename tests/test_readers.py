@@ -34,7 +34,7 @@ from concord.studies.sweep.store import save_arrays
 from tests.house.sources import product
 
 ROOT = Path(__file__).resolve().parent.parent
-MUTATIONS, MOST_MB, MOST_S = 25, 500, 5.0
+MUTATIONS, MOST_MB, MOST_S = 200, 500, 5.0
 NO_READER = {
     "studies.sweep.store:open_store",
     "plants.recorded.columns:read_channels",
@@ -69,33 +69,69 @@ READERS = {
     "results.folder:read_description": [Reader("run/run.json", of_folder)],
     "results.folder:read_description_file": [Reader("run/run.json")],
     "features.hosts.host_place:read_setup": [Reader("run/run.json")],
-    "features.hosts.plan:read_plan": [Reader("run/hosts.toml"), Reader("run/setup.json", lambda read, file: read(file.with_name("hosts.toml")))],
-    "runtime.json_file:read_json": [Reader("run/run.json", lambda read, file: read(file, Description, "cure", "wrong"))],
+    "features.hosts.plan:read_plan": [
+        Reader("run/hosts.toml"),
+        Reader("run/setup.json", lambda read, file: read(file.with_name("hosts.toml"))),
+    ],
+    "runtime.json_file:read_json": [
+        Reader("run/run.json", lambda read, file: read(file, Description, "cure", "wrong"))
+    ],
     "runtime.network.network_file:read_network": [Reader("run/network.json", of_folder)],
     "runtime.recording:read_recording": [Reader("run/run.mcap", of_all)],
-    "studies.audit.evidence:read_evidence": [Reader("run/run.mcap", of_folder), Reader("run/run.nc", of_folder)],
-    "results.records.netcdf_file:read_dataset": [Reader("run/run.nc", lambda read, file: read(file, ("mean",), "cure"))],
-    "results.records.netcdf_file:open_dataset": [Reader("run/run.nc", lambda read, file: read(file, "cure").close())],
-    "experiments.python_api:load": [Reader("run/run.nc", lambda read, file: read(file.parent).close())],
-    "results.records.runs_file:read_runs": [Reader("run/run.nc", lambda read, file: read(file, described(file.with_name("run.json")).setup))],
+    "studies.audit.evidence:read_evidence": [
+        Reader("run/run.mcap", of_folder),
+        Reader("run/run.nc", of_folder),
+    ],
+    "results.records.netcdf_file:read_dataset": [
+        Reader("run/run.nc", lambda read, file: read(file, ("mean",), "cure"))
+    ],
+    "results.records.netcdf_file:open_dataset": [
+        Reader("run/run.nc", lambda read, file: read(file, "cure").close())
+    ],
+    "experiments.python_api:load": [
+        Reader("run/run.nc", lambda read, file: read(file.parent).close())
+    ],
+    "results.records.runs_file:read_runs": [
+        Reader(
+            "run/run.nc", lambda read, file: read(file, described(file.with_name("run.json")).setup)
+        )
+    ],
     "studies.design.results:read_design": [Reader("design.json")],
     "studies.sweep.results:read_result": [Reader("sweep.nc")],
     "studies.sweep.store:read_begun": [Reader("pieces/sweep.json", of_folder)],
-    "studies.sweep.store:load_arrays": [Reader("pieces/one.npz", lambda read, file: read(file.parent, "one"))],
-    "plants.recorded.log_files:open_log": [Reader(f"drive.{kind}", of_log) for kind in ("csv", "nc", "mcap", "ulg")],
-    "features.vehicle.plant.drive_log:read_log": [Reader("columns.toml", of_folder), Reader("drive.csv", of_folder)],
+    "studies.sweep.store:load_arrays": [
+        Reader("pieces/one.npz", lambda read, file: read(file.parent, "one"))
+    ],
+    "plants.recorded.log_files:open_log": [
+        Reader(f"drive.{kind}", of_log) for kind in ("csv", "nc", "mcap", "ulg")
+    ],
+    "features.vehicle.plant.drive_log:read_log": [
+        Reader("columns.toml", of_folder),
+        Reader("drive.csv", of_folder),
+    ],
     "features.vehicle.plant.drive_log:read_folder": [Reader("drive.csv", of_folder)],
     "features.vehicle.plant.drive_log:read_car": [Reader("car.toml", of_folder)],
-    "features.recorded.mrclam_files:read_recording": [Reader("mrclam/Robot1_Groundtruth.dat", of_folder)],
-    "features.flexray_tools.recordings.recording_files:read_recording": [Reader("drive.csv"), Reader("signals.vcd")],
+    "features.recorded.mrclam_files:read_recording": [
+        Reader("mrclam/Robot1_Groundtruth.dat", of_folder)
+    ],
+    "features.flexray_tools.recordings.recording_files:read_recording": [
+        Reader("drive.csv"),
+        Reader("signals.vcd"),
+    ],
     "features.flexray_tools.slot_design.demand:read_demand": [Reader("demand.toml")],
     "bus.flexray.cluster_files:read_cluster_file": [Reader("cluster.toml")],
-    "bus.flexray.slot_file:read_slot_file": [Reader("slots.toml", lambda read, file: read(file, DEMO))],
-    "topology.graph_files:read_network": [Reader("graph.graphml"), Reader("graph.txt"), Reader("graph.mtx")],
+    "bus.flexray.slot_file:read_slot_file": [
+        Reader("slots.toml", lambda read, file: read(file, DEMO))
+    ],
+    "topology.graph_files:read_network": [
+        Reader("graph.graphml"),
+        Reader("graph.txt"),
+        Reader("graph.mtx"),
+    ],
     "topology.networkx_files:read_networkx": [Reader("graph.graphml")],
     "topology.edge_lists:read_text": [Reader("graph.txt")],
     "topology.edge_lists:read_market": [Reader("graph.mtx")],
-}  # fmt: skip
+}
 CASES = [
     pytest.param(name, reader, id=f"{name} {reader.file}")
     for name, readers in READERS.items()
@@ -119,15 +155,17 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     swept = ("--steps", "6", "--nodes", "3,4", "--runs", "2", "--workers", "1")
     run(folder, "sweep", *swept, "--out", str(folder / "sweep.nc"))
     (folder / "pieces").mkdir()
-    begun = b'{"specification":{"base":{"scenario":"oscillator"},"levels":{"nodes":[3,4]}},"versions":{"a":"1"},"commit":null}'
+    specification = b'{"base":{"scenario":"oscillator"},"levels":{"nodes":[3,4]}}'
+    begun = b'{"specification":' + specification + b',"versions":{"a":"1"},"commit":null}'
     (folder / "pieces" / "sweep.json").write_bytes(begun)
     save_arrays(folder / "pieces", "one", {"rmse": np.arange(4.0)})
-    fields = '"scenario":"oscillator","settled":{"nodes":3},"seed":1,"target":{"most":1.0,"reference":"unit"},'
+    fields = '"scenario":"oscillator","settled":{"nodes":3},"seed":1,'
+    fields += '"target":{"most":1.0,"reference":"unit"},'
     rest = '"unit":"m","minimise":"bytes","tried":[],"refused":[],"attempts":[],"recommended":null'
     text = "{" + fields + rest + ',"finished":true,"versions":{},"commit":null}'
     (folder / "design.json").write_text(text)
     example = runpy.run_path(str(ROOT / "examples" / "own_log.py"))
-    for kind, write in example["WRITERS"].items():
+    for write in example["WRITERS"].values():
         (folder / "columns.toml").write_text(write(folder, example["signals"](0.3)))
     (folder / "car.toml").write_text(example["CAR"])
     rows = "".join(f"{step / 100:.2f},{step},{step / 7:.3f}\n" for step in range(40))
@@ -135,7 +173,9 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     vcd = "$timescale 1 us $end\n$var wire 1 ! a $end\n$enddefinitions $end\n#0\n0!\n#5\n1!\n"
     (folder / "signals.vcd").write_text(vcd)
     (folder / "mrclam").mkdir()
-    for name, columns in (("Barcodes", 2), ("Landmark_Groundtruth", 5), ("Robot1_Groundtruth", 4), ("Robot1_Measurement", 4), ("Robot1_Odometry", 3)):  # fmt: skip
+    tables = {"Barcodes": 2, "Landmark_Groundtruth": 5, "Robot1_Groundtruth": 4}
+    tables |= {"Robot1_Measurement": 4, "Robot1_Odometry": 3}
+    for name, columns in tables.items():
         lines = [" ".join(f"{row + place:.3f}" for place in range(columns)) for row in range(9)]
         (folder / "mrclam" / f"{name}.dat").write_text("\n".join(lines) + "\n")
     (folder / "demand.toml").write_text(
