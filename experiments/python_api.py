@@ -12,7 +12,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.option import python_words, require_kind
-from concord.studies.memory import check_memory
+from concord.studies.memory import check_files, check_memory
 from concord.studies.monte_carlo.simulate import AGES, COV, READINGS
 from concord.studies.monte_carlo.simulate import simulate as simulate_setup
 
@@ -101,6 +101,7 @@ def launch(
 
     _require_scenario(scenario)
     check_memory(scenario, messages=True)
+    check_files("processes", scenario.nodes)
     setup = prepare(portable(scenario))
     return load(launched(setup, None if out is None else Path(out), dashboard))
 

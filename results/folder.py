@@ -14,6 +14,7 @@ from concord.results.places import new_name
 from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
 from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.json_file import read_json, write_json
+from concord.runtime.recording import origin_of
 from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ from concord.results.records.netcdf_file import ARRAYS
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.option import Choice
 from concord.scenarios.types.schedules import arbiter_of
+from concord.scenarios.user.trust import require_known
 from concord.scenarios.user.values import (
     FromFile,
     ValueSource,
@@ -177,9 +179,11 @@ def read_description(folder: Path) -> Description:
     """Read run.json.
 
     Raises:
-        ValueError: there is none, or it is not one of ours.
+        ValueError: there is none, it is not one of ours, or it names code or a file of this machine
+            that no run of this user has named (`scenarios/user/trust.py`).
     """
     found = read_description_file(folder / DESCRIPTION)
+    require_known(found.setup.scenario, folder)
     scenario = from_copies(folder, found.setup.scenario)
     setup = msgspec.structs.replace(found.setup, scenario=scenario)
     return msgspec.structs.replace(found, setup=setup)
@@ -214,7 +218,10 @@ def recording_of(folder: Path) -> Path:
 
 def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
     """Write run.nc with what was run, or leave none."""
+    described = folder / DESCRIPTION
+    asked = read_description_file(described) if described.is_file() else description
     dataset = dataset.assign_attrs(
+        origin=msgspec.json.encode(origin_of(asked.setup, asked.run)).decode(),
         title=f"concord run {description.run}",
         driver=description.driver,
         seed=description.setup.scenario.seed,

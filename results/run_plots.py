@@ -21,6 +21,7 @@ from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.plants import PlacedSensors
 from concord.scenarios.types.schedules import occupancy_of
+from concord.scenarios.user.trust import require_known
 
 if TYPE_CHECKING:
     import xarray
@@ -35,7 +36,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     """
     description = read_description(folder)
     data = _arrays(folder, description)
-    description = _as_it_ran(description, data)
+    description = _as_it_ran(folder, description, data)
     figures, told = {}, _told(description, data)
     if told.any():
         figures["error-over-time"] = _errors(description, data, told)
@@ -67,7 +68,7 @@ def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
     return data
 
 
-def _as_it_ran(description: Description, data: "xarray.Dataset") -> Description:
+def _as_it_ran(folder: Path, description: Description, data: "xarray.Dataset") -> Description:
     """The description whose sensors stand in each step where they stood in the run.
 
     Raises:
@@ -77,10 +78,11 @@ def _as_it_ran(description: Description, data: "xarray.Dataset") -> Description:
     if not isinstance(setup.scenario.plant, PlacedSensors):
         return description
     try:
-        plant = msgspec.json.decode(data.attrs.get("scenario", ""), type=Scenario).plant
+        ran = msgspec.json.decode(data.attrs.get("scenario", ""), type=Scenario)
     except msgspec.DecodeError:
         raise ValueError(f"{ARRAYS}: does not say which scenario was run; make it again") from None
-    scenario = msgspec.structs.replace(setup.scenario, plant=plant)
+    require_known(ran, folder / ARRAYS)
+    scenario = msgspec.structs.replace(setup.scenario, plant=ran.plant)
     setup = msgspec.structs.replace(setup, scenario=scenario)
     return msgspec.structs.replace(description, setup=setup)
 

@@ -2,15 +2,16 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from concord.nodes.commands import Scripted
 from concord.nodes.tempo import Tempo
 from concord.runtime import in_process
 from concord.runtime.processes.job import Happened
-from concord.runtime.recording import McapRecorder, MemoryRecorder, Recorder
+from concord.runtime.recording import McapRecorder, MemoryRecorder, Recorder, origin_of
 from concord.scenarios.build import build_environment, build_node
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.preparation import complete_settings
@@ -30,12 +31,12 @@ Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], RunPace
 
 
 def in_this_process(
-    setup: Setup, _run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
+    setup: Setup, run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
 ) -> RunPace:
     """Run all nodes and the environment in this process."""
-    recorder = McapRecorder(
-        recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
-    )
+    frames = frame_format(setup.scenario)
+    origin = origin_of(setup, run)
+    recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s, frames, origin)
     started = time.monotonic()
     try:
         drive(setup, recorder, on_step)
@@ -52,8 +53,13 @@ def in_memory(setup: Setup) -> list[tuple[str, bytes]]:
 
 
 @user_faults()
-def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> None:
-    """Run a setup in this process.
+def drive(
+    setup: Setup,
+    recorder: Recorder,
+    on_step: Callable[[int], None],
+    script: Sequence[Scripted] | None = None,
+) -> None:
+    """Run a setup in this process, with the changes of its scenario or of a `script`.
 
     Raises:
         UserFault: a function of the user failed in the run.
@@ -64,7 +70,7 @@ def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> N
         nodes,
         recorder,
         on_step=on_step,
-        script=script_of(setup.scenario),
+        script=script_of(setup.scenario) if script is None else script,
         check=partial(complete_settings, setup),
     )
 

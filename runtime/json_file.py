@@ -6,6 +6,7 @@ from typing import TypeVar
 import msgspec
 
 from concord.disk import whole_file
+from concord.nodes.bounds import UNREADABLE
 
 T = TypeVar("T")
 
@@ -21,7 +22,7 @@ def read_json(path: Path, kind: type[T], cure: str, wrong: str) -> T:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror}); {cure}") from None
-    except msgspec.MsgspecError as error:
+    except UNREADABLE as error:
         raise ValueError(f"{path}: {wrong} ({error})") from None
 
 

@@ -4,28 +4,44 @@ A file is written without chunks, so that it can be read up to the last message 
 are the plant's, not the clock's.
 """
 
+import hashlib
 import os
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from io import BufferedReader, BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import msgspec
-from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, McapRecord
+from mcap.records import Channel, Metadata
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC, Writer
+from mcap.writer import Writer
 
 from concord.bus.bus import FrameFormat
 from concord.disk import NotWritten, writing
 from concord.nodes.bounds import UNREADABLE, Instant
 from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode, message_types
+from concord.runtime.recording_file import Damage, whole_bytes, whole_records
+from concord.scenarios.setup import Setup
 
-_RECORD_HEADER = struct.Struct("<BQ")
+ORIGIN = "concord"
+"""Name of the metadata record that says of which run a recording is."""
+DAMAGE = "damage"
+"""Topic of what stands for bytes of a recording that are no message."""
+
+
+def origin_of(setup: Setup, run: str) -> dict[str, str]:
+    """Return what says of which run a file is: its name, scenario, seed, steps and setup."""
+    scenario = setup.scenario
+    digest = hashlib.sha256(msgspec.json.encode(setup)).hexdigest()[:16]
+    return {
+        "run": run,
+        "scenario": scenario.name,
+        "seed": str(scenario.seed),
+        "steps": str(scenario.steps),
+        "setup": digest,
+    }
 
 
 class Recorder(Protocol):
@@ -72,13 +88,19 @@ class McapRecorder:
     """
 
     def __init__(
-        self, path: Path, rounds: int, time_step_s: float, frame_format: FrameFormat
+        self,
+        path: Path,
+        rounds: int,
+        time_step_s: float,
+        frame_format: FrameFormat,
+        origin: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
+        """`origin` says of which run the messages are, in a metadata record (`ORIGIN`)."""
         self._frames = frame_format
         self._history = history_of(rounds, ())
         self._last_ns = 0
         self._step_ns = round(time_step_s * 1e9)
-        self._path = path
+        self._path, self._origin = path, origin
         with writing(path):
             self._begin()
 
@@ -86,6 +108,8 @@ class McapRecorder:
         self._file = self._path.open("wb")
         self._writer = Writer(self._file, use_chunking=False)
         self._writer.start(profile="", library="concord")
+        if self._origin:
+            self._writer.add_metadata(ORIGIN, dict(self._origin))
         self._schemas = {
             topic: self._writer.register_schema(
                 name=type_.__name__,
@@ -97,6 +121,7 @@ class McapRecorder:
         self._channels: dict[str, int] = {}
         self._sequence = 0
         self._file.flush()
+        self._whole_bytes = self._file.tell()
         self._is_whole = True
 
     def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
@@ -108,6 +133,7 @@ class McapRecorder:
                 self._append(topic, data)
             # Flushed messages survive the death of this process.
             self._file.flush()
+            self._whole_bytes = self._file.tell()
             self._is_whole = True
         except OSError as error:
             self.close()
@@ -146,31 +172,28 @@ class McapRecorder:
         """Write the index and close the file; what was interrupted is cut off instead."""
         if self._file.closed:
             return
-        whole_bytes: int | None = None
+        end: int | None = None
         try:
             if self._is_whole:
                 self._is_whole = False
-                whole_bytes = self._file.tell()
+                end = self._file.tell()
                 with writing(self._path):
                     self._writer.finish()
                     self._file.flush()
-                whole_bytes = self._file.tell()
+                end = self._file.tell()
         finally:
             with suppress(OSError):
                 # Data that a full disk refuses here did not belong to a whole record.
                 self._file.close()
             with suppress(FileNotFoundError):
                 # Another process may have removed the file meanwhile.
-                os.truncate(self._path, whole_bytes or self._whole_on_disk())
-
-    def _whole_on_disk(self) -> int:
-        """Length of the file up to its last whole record."""
-        with self._path.open("rb") as file:
-            return _whole_bytes(file)
+                os.truncate(self._path, end or whole_bytes(self._path, self._whole_bytes))
 
 
 def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
     """The (topic, bytes) of a recording in file order; a torn last record is left out.
+
+    Damage in the middle is a message on the topic `DAMAGE`, whose data is its length in bytes.
 
     Raises:
         ValueError: the file is not an MCAP recording.
@@ -180,48 +203,21 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, McapMessage):
-            yield topics[record.channel_id], record.data
+            topic = topics.get(record.channel_id)
+            yield (DAMAGE, b"%d" % len(record.data)) if topic is None else (topic, record.data)
+        elif isinstance(record, Damage):
+            yield DAMAGE, b"%d" % record.length
 
 
-def whole_records(path: Path) -> Iterator[McapRecord]:
-    """The records of an MCAP file in file order; a torn last one is left out.
+def recorded_origin(path: Path) -> dict[str, str]:
+    """Return what a recording says of its run (`origin_of`); nothing where it says nothing.
 
     Raises:
         ValueError: the file is not an MCAP recording.
     """
-    with path.open("rb") as file:
-        start = file.read(len(MCAP0_MAGIC))
-        if not MCAP0_MAGIC.startswith(start):
-            raise ValueError(
-                f"{path}: not a recording of concord; name the run.mcap of a run folder"
-            )
-        whole = BytesIO(file.read(_whole_bytes(file)))
-    if len(start) < len(MCAP0_MAGIC):
-        return
-    try:
-        yield from StreamReader(whole).records
-    except EndOfFile:
-        # The writer died before its closing words; everything before them has been read.
-        pass
-    except McapError as error:
-        raise ValueError(f"{path}: not a recording of concord ({error})") from None
-
-
-def _whole_bytes(file: BufferedReader) -> int:
-    """Length of the file up to its last whole record; the file is left at its beginning.
-
-    Source: MCAP format specification, records: opcode (1 byte), length (8 bytes), content.
-    """
-    size = file.seek(0, os.SEEK_END)
-    end = len(MCAP0_MAGIC)
-    while end + _RECORD_HEADER.size <= size:
-        file.seek(end)
-        _, length = _RECORD_HEADER.unpack(file.read(_RECORD_HEADER.size))
-        if end + _RECORD_HEADER.size + length > size:
+    for record in whole_records(path):
+        if isinstance(record, Metadata) and record.name == ORIGIN:
+            return record.metadata
+        if isinstance(record, McapMessage):
             break
-        end += _RECORD_HEADER.size + length
-    # A file that was closed in order ends with the magic again, which is no record.
-    file.seek(end)
-    closed = file.read() == MCAP0_MAGIC
-    file.seek(0)
-    return end + len(MCAP0_MAGIC) if closed else end
+    return {}

@@ -1,6 +1,7 @@
 """Work a scenario out: check it, draw its network, and change the settings of one that runs."""
 
 import hashlib
+import re
 from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
@@ -41,6 +42,9 @@ from concord.scenarios.user.bus import check_user_bus
 from concord.scenarios.user.values import is_source_name, source_of, value_of
 from concord.topology.names import is_file_name, unknown_name
 
+# In JSON a colon without a quotation mark before it is part of a word, such as FILE.py:NAME.
+_NAMES_FILES = re.compile(rb'[^"]:|"data":"')
+
 
 def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:
     """Check a scenario and work it out; a rule of the user's own is tried, if `tries_rule`.
@@ -52,6 +56,11 @@ def prepare(scenario: Scenario, *, tries_rule: bool = True) -> Setup:
     scenario = with_pinned_arbiter(scenario)
     definition = definition_of(scenario)
     definition.refuse(scenario)
+    if _NAMES_FILES.search(msgspec.json.encode(scenario)):
+        # Only here: most scenarios name no file.
+        from concord.scenarios.user.trust import remember
+
+        remember(scenario)
     plant = definition.plant(scenario)
     neighbours, weights, losses, phases = _graph(scenario, plant)
     unborn = Setup(scenario, neighbours, weights, [], [], [], plant.time_step_s, losses, phases)

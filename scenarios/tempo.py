@@ -12,6 +12,8 @@ from concord.scenarios.types.buses import stretch_of
 
 # Processes that share a machine keep such times; a cycle on the bus is some ten times shorter.
 SHORTEST_PART_S = 0.02
+# Longer cycles lose no fewer frames, and make estimates older.
+LONGEST_CYCLE_S = 0.1
 
 
 def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
@@ -22,8 +24,8 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
 
     Args:
         setup: the network.
-        stretch: how many times longer a cycle lasts than on the bus; None for the least, 1 or more,
-            with which what is sent at once has 20 ms.
+        stretch: how many times longer a cycle lasts than on the bus; None for the longest cycle
+            that the step allows, of 100 ms at most, where what is sent at once has 20 ms or more.
 
     Raises:
         ValueError: the scenario has no time to be kept, or cannot be run against the clock.
@@ -49,7 +51,9 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
         )
     if stretch is None:
         parts = max(len(bus.schedule.groups(cycle)) for cycle in range(bus.schedule.period))
-        stretch = max(1.0, parts * SHORTEST_PART_S / (bus.cycle_us * 1e-6))
+        allowed_s = setup.time_step_s * stretch_of(scenario.bus) / scenario.rounds
+        cycle_s = max(parts * SHORTEST_PART_S, min(allowed_s, LONGEST_CYCLE_S))
+        stretch = max(1.0, cycle_s / (bus.cycle_us * 1e-6))
     require(1 <= stretch < math.inf, "cycle-stretch", stretch, "at least 1, and finite")
     cycle_s = bus.cycle_us * 1e-6 * stretch
     step_s = max(setup.time_step_s * stretch_of(scenario.bus), scenario.rounds * cycle_s)

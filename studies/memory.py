@@ -19,6 +19,8 @@ _SMALL = 100_000
 _MESSAGES_BYTES = 2500
 _FLOAT_BYTES = 8
 _ADDRESSES_BYTES = 1024**3
+# Measured: 4 nodes run with 32 files and not with 24, 16 nodes with 44 and not with 36.
+_FILES_BASE = 28
 
 
 def check_memory(scenario: Scenario, runs: int = 1, messages: bool = False) -> None:
@@ -102,6 +104,28 @@ def check_address_space(driver: str) -> None:
             f"{_size(limit / 1024**2)}, and a process of the network reserves about "
             f"{_size(_ADDRESSES_BYTES / 1024**2)}; raise the limit (ulimit -v), or use --driver "
             "in-process"
+        )
+
+
+def files_needed(nodes: int) -> int:
+    """Return how many files the recorder of a network of processes opens, with some to spare."""
+    return _FILES_BASE + nodes
+
+
+def check_files(driver: str, nodes: int) -> None:
+    """Refuse a network of processes that may open too few files: links would fail in silence.
+
+    The launcher raises the soft limit to the hard one, which counts here.
+
+    Raises:
+        ValueError: naming the limit, the need and the cure.
+    """
+    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    need = files_needed(nodes)
+    if limit != resource.RLIM_INFINITY and limit < need:
+        raise ValueError(
+            f"--driver {driver}: a process may open {limit} files, and a network of {nodes} nodes "
+            f"needs {need}; raise the limit (ulimit -n {need}), or use --driver in-process"
         )
 
 

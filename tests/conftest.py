@@ -55,6 +55,12 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         reporter.write_line(f"NO BROWSER: {without} tests of the page were skipped; it {HOW}")
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _own_list(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep the list of own code (`scenarios/user/trust.py`) apart from that of the developer."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
 @pytest.fixture(autouse=True)
 def _same_priority() -> Iterator[None]:
     """Fail a test that lowers the priority of the process that runs all tests."""

@@ -19,6 +19,7 @@ from concord.topology.read_graph import Kind, ReadGraph, from_edges, plain_names
 
 # A matrix as text has a character per pair of nodes at least.
 MOST_MATRIX_NODES = 5000
+_MOST_MARKET_NODES = 1_000_000
 
 # Names of columns in the header rows of Gephi, pandas, igraph and others.
 _SENDERS = ("source", "from", "sender", "fromnodeid", "node1", "src", "u")
@@ -82,6 +83,7 @@ def read_market(file: Path) -> ReadGraph:
     from scipy.io import mmread  # only here: few files are of this form
 
     try:
+        _check_market(file)
         found = mmread(file)
     except (ValueError, TypeError, OverflowError, NotImplementedError) as error:
         why = " ".join(str(error).split())
@@ -104,6 +106,33 @@ def read_market(file: Path) -> ReadGraph:
         _quality(str(value), f"{file}: entry ({i + 1}, {j + 1})")
     names = tuple(plain_names(nodes_of(given)))
     return ReadGraph(csr_array(given, dtype=float), names, Kind.MATRIX)
+
+
+def _check_market(file: Path) -> None:
+    """Refuse entries outside of the matrix, on which the reader of scipy crashes the process.
+
+    Raises:
+        ValueError: naming the line.
+    """
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+    if not lines or "coordinate" not in lines[0].lower():
+        return
+    told = [
+        (number, line.split())
+        for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith("%")
+    ]
+    if not told:
+        raise ValueError("it has no line of sizes")
+    (_, sizes), *entries = told
+    height, width, count = map(int, sizes)
+    if count != len(entries) or max(height, width) > _MOST_MARKET_NODES:
+        raise ValueError(
+            f"{count} entries of {height} x {width} are told, {len(entries)} are there"
+        )
+    for number, (i, j, *_) in entries:
+        if not (1 <= int(i) <= height and 1 <= int(j) <= width):
+            raise ValueError(f"line {number}: entry ({i}, {j}) is outside of the matrix")
 
 
 def write_edge_list(file: Path, network: Network) -> None:

@@ -51,6 +51,7 @@ from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
+from concord.scenarios.user.trust import trust
 from concord.studies.alternative import BetterRule, labelled_beside
 
 CaptureCycles = Literal["used", "all"]
@@ -86,11 +87,14 @@ class CollectOptions(ResultOptions):
 
     folder: tyro.conf.Positional[Path]
     """Folder of a run."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     """Finish the recording of a run that was interrupted; make its arrays, capture and figures."""
     with user_errors():
+        trust(options.trust)
         description = read_description(options.folder)
         captures = Captures(options.capture == "all", options.capture_nodes)
         check_captures(description.setup, captures)
@@ -136,6 +140,8 @@ def finish(
         **pace._asdict(),
         smoothing=_smoothing(folder, description, trace, found.first_step) if smooth else None,
     )
+    if trace.damaged_bytes:
+        figures = figures.with_details(damaged_bytes=trace.damaged_bytes)
     show(figures, description, folder, shown, labelled_beside(runs, figures))
     return figures
 
@@ -180,6 +186,11 @@ def show(
         console.print(channel_table(innovations))
     smoothing = figures.details.get("smoothing")
     more = [] if smoothing is None else [smoothing_line(smoothing, figures.unit)]
+    if damaged_bytes := figures.details.get("damaged_bytes"):
+        more.append(
+            f"  damage   {damaged_bytes} bytes in the middle of {RECORDING} are no messages and "
+            "were skipped; what they held is empty in run.nc"
+        )
     for line in (*more, *lines(figures), *(details(figures) if shown.verbose else ())):
         console.print(line)
     if shown.verbose:

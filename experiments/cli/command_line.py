@@ -1,9 +1,11 @@
 """The command line: every `concord` command by its name."""
 
 import difflib
+import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import FrameType
@@ -23,6 +25,7 @@ from concord.experiments.user_errors import user_errors
 from concord.scenarios.user.faults import user_faults
 from concord.topology.names import unknown_name
 
+_ONCE_MORE_S = 0.02
 _KINDS = {int: "a whole number", float: "a number"}
 
 
@@ -85,8 +88,19 @@ def _run(words: list[str], program: str, preset: Mapping[str, str]) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _interrupted_callback
     with tyro_errors.on_parse_error(partial(_refuse, command)), user_faults():
         tyro.cli(command, prog=program, args=words, add_help=False)
+
+
+def _interrupted_callback(found: "sys.UnraisableHookArgs") -> None:
+    """Ask for an interruption once more where it fell into a callback, which cannot pass it on."""
+    if issubclass(found.exc_type, KeyboardInterrupt):
+        ask = threading.Timer(_ONCE_MORE_S, os.kill, (os.getpid(), signal.SIGINT))
+        ask.daemon = True
+        ask.start()
+    else:
+        sys.__unraisablehook__(found)
 
 
 def _command(words: Sequence[str]) -> tuple[Any, int]:

@@ -122,9 +122,17 @@ def _follow_launcher(
     gone.set()
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReplayOptions(PageOptions):
+    """Where the page is, and whose code it may run."""
+
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
+
+
 def replay(
     recording: tyro.conf.Positional[Path],
-    options: Annotated[PageOptions, tyro.conf.arg(name="")],
+    options: Annotated[ReplayOptions, tyro.conf.arg(name="")],
     beside: tyro.conf.Positional[Path | None] = None,
 ) -> None:
     """Show a recorded run in the browser: its run.mcap or its folder; or the result of a sweep.
@@ -132,9 +140,12 @@ def replay(
     A second run of the same scenario and seed is drawn beside it, and compared with it. A page of a
     sweep shows its cells, and computes and opens the runs that its viewers press.
     """
-    # The page of a network does without it.
+    # The page of a network does without them.
     from concord.results.records.netcdf_file import ARRAYS
+    from concord.scenarios.user.trust import trust
 
+    with user_errors():
+        trust(options.trust)
     if recording.suffix == ".nc" and recording.name != ARRAYS:
         _explore(recording, options, beside)
         return

@@ -24,7 +24,7 @@ from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.network.sockets import in_folder, socket_folder
 from concord.runtime.network.zenoh_transport import LinkError, Transport
-from concord.studies.memory import available_memory_mb
+from concord.studies.memory import available_memory_mb, files_needed
 
 _BROWSERS = ("firefox", "chromium", "chromium-browser", "google-chrome", "microsoft-edge", "safari")
 _ROUND_TRIPS = 50
@@ -41,7 +41,6 @@ EXTRAS = {
 # libraries, and for each node: a forked one was measured at 4 to 12 MB with its share of
 # the common pages.
 BASE_MB, NODE_MB = 400, 15
-_FILES_PER_PROCESS, _FILES_BASE = 4, 256
 _LATE_S = 0.002
 _DISK_MB = 500
 _BLAS_VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
@@ -231,8 +230,8 @@ def sockets() -> Looked:
 def files(nodes: int, limit: int | None = None) -> Looked:
     """Return whether the launcher may open what it needs for `nodes` nodes."""
     if limit is None:
-        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    need = _FILES_BASE + _FILES_PER_PROCESS * nodes
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    need = files_needed(nodes)
     if limit == resource.RLIM_INFINITY or limit >= need:
         return Looked("files", Verdict.OK, f"a process may open {_words(limit)}, {need} are enough")
     said = f"a process may open {limit} files, {nodes} nodes may need {need}"

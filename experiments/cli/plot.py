@@ -14,6 +14,7 @@ from concord.experiments.user_errors import user_errors
 from concord.results.palette import fit_width, save, use_house_style, without_title
 from concord.results.places import make_folder
 from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION
+from concord.scenarios.user.trust import trust
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,11 +39,14 @@ class PlotOptions:
     """Leave out what stands above the pictures, for a caption below them."""
     json: bool = False
     """Print one JSON object instead of lines."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
 
 
 def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
     """Draw a result."""
     with user_errors():
+        trust(options.trust)
         width = None if options.width is None else _inches(options.width)
         use_house_style(*(() if width is None else (_PRINTED_DPI,)))
         result = result_of(options.result)

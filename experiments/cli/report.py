@@ -27,6 +27,7 @@ from concord.results.report_page import (
     as_markdown,
     picture,
 )
+from concord.scenarios.user.trust import trust
 from concord.studies.sweep.specification import shown
 from concord.topology.names import unknown_name
 
@@ -48,12 +49,15 @@ class ReportOptions:
     left out."""
     json: bool = False
     """Print one JSON object instead of a line."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: results of another user."""
 
 
 def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
     """Write a result as one self-contained page."""
     use_house_style()
     with user_errors():
+        trust(options.trust)
         result = result_of(options.result)
         out = options.out or (
             result / "report.html" if result.is_dir() else result.with_suffix(".html")

@@ -32,7 +32,7 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
 from concord.scenarios.warnings import warnings_of
 from concord.studies.few_samples import few_runs, few_steps
-from concord.studies.memory import check_address_space, check_memory
+from concord.studies.memory import check_address_space, check_files, check_memory
 from concord.studies.progress import progress
 
 REALTIME = "realtime"
@@ -49,7 +49,7 @@ class RunOptions(ResultOptions):
     batched (many runs at once as arrays), realtime (processes that keep the bus's time)."""
     cycle_stretch: float | None = None
     """How many times longer a cycle lasts on the clock than on the bus, for --driver realtime; so
-    that it lasts 20 ms when left out."""
+    that it lasts as long as the step allows, 100 ms at most, when left out."""
     runs: Annotated[int, FIRST] = 1
     """Number of runs, from --run on, for --driver batched."""
     covariances: bool = False
@@ -75,6 +75,8 @@ def run(
         _check(output)
         found = resolved(scenario)
         check_memory(found, output.runs, messages=output.driver != BATCHED)
+        if output.driver in ("processes", REALTIME):
+            check_files(output.driver, found.nodes)
         setup = prepare(found)
         captures = Captures(output.capture == "all", output.capture_nodes)
         check_captures(setup, captures)

@@ -21,6 +21,7 @@ from concord.experiments.user_errors import user_errors
 from concord.results.figures.summary import decisive_run
 from concord.results.places import make_folder, new_name
 from concord.scenarios.preparation import prepare
+from concord.scenarios.user.trust import trust
 from concord.scenarios.warnings import warnings_of
 from concord.studies.few_samples import few_runs, few_steps
 from concord.studies.progress import progress
@@ -148,11 +149,14 @@ class MergeOptions:
     """netCDF file for the result. It must not exist."""
     json: bool = False
     """Print one JSON object instead of a table."""
+    trust: Path | None = None
+    """Folder whose own code and files may be used here: pieces of another user."""
 
 
 def merge(options: Annotated[MergeOptions, tyro.conf.arg(name="")]) -> None:
     """Make the result of a sweep from the folders of its shards."""
     with user_errors():
+        trust(options.trust)
         if not options.pieces:
             raise ValueError("merge: name the folders of pieces that `concord sweep --shard` made")
         if options.out.exists():

@@ -35,6 +35,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
 from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
+from concord.scenarios.user.trust import trust
 from concord.studies.progress import progress
 
 # How often a router looks whether it is to end.
@@ -140,6 +141,8 @@ class HostOptions:
     """Endpoints of routers, such as tcp/10.0.0.1:7447; the first that answers is taken."""
     keys: Path | None = None
     """Folder with the files of `concord keys` for the processes of this host; needs tls/..."""
+    trust: Path | None = None
+    """The setup file, where the code that it names may run on this host."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +158,7 @@ class EnvironmentOptions(HostOptions):
 def environment(options: Annotated[EnvironmentOptions, tyro.conf.arg(name="")]) -> None:
     """Run the environment and recorder processes on this host until the run ends."""
     with user_errors():
+        trust(options.trust)
         description = read_setup(options.setup)
         place = place_of([RECORDER, ENVIRONMENT], options.connect, options.keys)
         folder = make_folder(options.out, description.run)
@@ -194,6 +198,7 @@ class NodeOptions(HostOptions):
 def node(options: Annotated[NodeOptions, tyro.conf.arg(name="")]) -> None:
     """Run some nodes of a network on this host until the run ends."""
     with user_errors():
+        trust(options.trust)
         description = read_setup(options.setup)
         names = _checked_nodes(options.nodes, description.setup.scenario.nodes)
         place = place_of(names, options.connect, options.keys, options.peer_timeout)

@@ -8,6 +8,7 @@ from concord.results.folder import Description, read_description_file
 from concord.runtime.network.links import checked_endpoints, checked_run, key_file
 from concord.runtime.processes.job import Happened, HostPlace, Job
 from concord.runtime.processes.launcher import run_job
+from concord.scenarios.user.trust import require_known
 
 
 def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:
@@ -42,6 +43,7 @@ def read_setup(path: Path) -> Description:
         ValueError: the file cannot be read, or is no setup.
     """
     description = read_description_file(path)
+    require_known(description.setup.scenario, path)
     checked_run(description.run)
     return description
 

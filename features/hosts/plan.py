@@ -11,6 +11,8 @@ from concord.features.hosts.host_place import key_files, read_setup
 from concord.runtime.network.links import ENVIRONMENT, RECORDER, checked_endpoints, key_file
 
 SETUP, KEYS = "setup.json", "keys"
+TRUST = ("--trust", SETUP)
+"""Here the setup was found to be the user's own, which the other hosts cannot know."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _DESTINATION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:@-]*")
 
@@ -98,15 +100,14 @@ class NetworkPlan(msgspec.Struct, frozen=True):
     def environment_process(self, out: str, *more: str) -> Process:
         """Return environment and recorder, whose results are in the folder `out` of their host."""
         joins = self._joins(self.environment)
-        return Process(
-            self.environment, ENVIRONMENT, ("environment", SETUP, *joins, "--out", out, *more)
-        )
+        words = ("environment", SETUP, *TRUST, *joins, "--out", out, *more)
+        return Process(self.environment, ENVIRONMENT, words)
 
     def node(self, host: str, *nodes: int) -> Process:
         """Return the command of some nodes of a host."""
         numbers = tuple(map(str, nodes))
         name = f"node {' '.join(numbers)}"
-        return Process(host, name, ("node", SETUP, *numbers, *self._joins(host)))
+        return Process(host, name, ("node", SETUP, *numbers, *TRUST, *self._joins(host)))
 
     def _joins(self, host: str) -> tuple[str, ...]:
         keys = ("--keys", KEYS) if self.has_keys else ()

@@ -3,12 +3,16 @@
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from concord.plants.recorded.log_file import LogFile
 
+if TYPE_CHECKING:
+    from mcap.records import Channel, Chunk, Message, Schema
+
+_MOST_CHUNK_BYTES, _MOST_UNPACKED_BYTES = 16_000_000, 100_000_000
 _LONGEST_ARRAY = 36
 """Numbers of an array that are series of their own: a covariance of six rows, and no image."""
 
@@ -60,7 +64,8 @@ class McapFile(LogFile):
 
     def _read_topic(self, topic: str) -> list[tuple[float, dict[str, float]]]:
         messages = _messages(self._file, topic)
-        return [(logged_s, numbers) for _, logged_s, numbers in messages if numbers is not None]
+        known = ((logged_s, numbers) for _, logged_s, numbers in messages if numbers is not None)
+        return sorted(known, key=lambda one: one[0])
 
 
 def _messages(
@@ -78,15 +83,11 @@ def _messages(
             f"{file}: MCAP needs mcap-ros2-support, which is not installed; run `make extras`, or "
             "`pip install '.[logs]'` in a checkout of concord"
         ) from None
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
     try:
         with file.open("rb") as stream:
             decoders, unread = DecoderFactory(), set[str]()
-            topics = None if topic is None else [topic]
-            for schema, channel, message in make_reader(stream).iter_messages(topics=topics):
-                if channel.topic in unread:
+            for schema, channel, message in recorded_messages(stream, file.stat().st_size):
+                if channel.topic in unread or topic not in (None, channel.topic):
                     continue
                 try:
                     decode = decoders.decoder_for(channel.message_encoding, schema)
@@ -96,8 +97,75 @@ def _messages(
                 if numbers is None:
                     unread.add(channel.topic)
                 yield channel.topic, message.log_time / 1e9, numbers
-    except (OSError, McapError) as error:
-        raise ValueError(f"{file}: cannot be read as MCAP of ROS 2 ({error})") from None
+    except Exception as error:  # the library of MCAP raises what it meets in broken files
+        why = str(error).partition("\n")[0] or type(error).__name__
+        raise ValueError(f"{file}: cannot be read as MCAP of ROS 2 ({why[:200]})") from None
+
+
+def recorded_messages(
+    stream: IO[bytes], size_bytes: int
+) -> "Iterator[tuple[Schema | None, Channel, Message]]":
+    """Yield the messages of a file in file order, with their schemas and channels.
+
+    Raises:
+        ValueError: a chunk claims far more than it holds.
+        McapError: the file is damaged.
+    """
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Chunk, Message, Schema
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    records = StreamReader(stream, emit_chunks=True, record_size_limit=size_bytes).records
+    for outer in records:
+        if isinstance(outer, Chunk):
+            _check_claim(outer)
+        for record in breakup_chunk(outer) if isinstance(outer, Chunk) else (outer,):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels.get(record.channel_id)
+                if channel is None:
+                    raise McapError(f"no channel record with id {record.channel_id}")
+                yield schemas.get(channel.schema_id), channel, record
+
+
+def _check_claim(chunk: "Chunk") -> None:
+    """Refuse a chunk that unpacks to more than 100 MB, or to 16 MB and 1000 times its length.
+
+    Raises:
+        ValueError: naming both lengths.
+    """
+    claims = [chunk.uncompressed_size]
+    if chunk.compression == "zstd":
+        import zstandard
+
+        claims.append(zstandard.frame_content_size(chunk.data))
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        claims.append(int(lz4.frame.get_frame_info(chunk.data)["content_size"]))
+        # A frame may not say its length; a byte unpacks to 255 at most.
+        claims.append(min(255 * len(chunk.data), _unpacked(chunk.data)))
+    most = max(_MOST_CHUNK_BYTES, min(1000 * len(chunk.data), _MOST_UNPACKED_BYTES))
+    if max(claims) > most:
+        raise ValueError(f"a chunk of {len(chunk.data)} bytes unpacks to {max(claims)}")
+
+
+def _unpacked(data: bytes) -> int:
+    """Return the length to which an lz4 frame unpacks, or more than the most where it is longer."""
+    import lz4.frame
+
+    unpacker, length = lz4.frame.LZ4FrameDecompressor(), 0
+    while length <= _MOST_UNPACKED_BYTES and not unpacker.eof:
+        part = unpacker.decompress(data, max_length=_MOST_CHUNK_BYTES)
+        length, data = length + len(part), b""
+        if not part and unpacker.needs_input:
+            break
+    return length
 
 
 def _numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:

@@ -47,4 +47,6 @@ class ULogFile(LogFile):
     def stamps_s(self, name: str) -> np.ndarray:
         """Return the times (n,) of the messages that hold a field."""
         message, _, _ = name.partition(".")
+        if "timestamp" not in self._messages[message]:
+            raise ValueError(f"{name}: its message {message} has no timestamp")
         return self._messages[message]["timestamp"] / 1e6

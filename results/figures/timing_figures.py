@@ -26,7 +26,8 @@ class TimingFigures(msgspec.Struct, frozen=True):
 
     `cycles` are counted at each node. `deadline_misses` is the sum of two counts: `incomplete`
     cycles ended without an expected message, `overrun` cycles began after their own deadline.
-    `late_shares` came after their cycle; `late_bids` came after the environment had granted the
+    `late_shares` came after their cycle, `late_percent` of all that came;
+    `late_bids` came after the environment had granted the
     slots. `lost_heartbeats` counts steps that began without readings. `skips` counts how often a
     node was far behind and left out the steps between. `cycle_jitter` is the
     lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the age of estimates
@@ -42,6 +43,7 @@ class TimingFigures(msgspec.Struct, frozen=True):
     incomplete: int
     overrun: int
     late_shares: int
+    late_percent: float
     late_bids: int
     cycle_jitter: TimingSpread
     heartbeat: TimingSpread
@@ -71,6 +73,7 @@ def figures_of(
     overrun = sum(timing.overrun for timing in said)
     came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]
     late = [late_s for timing in said for late_s in timing.cycle_late_s]
+    late_frames, heard = (sum(c.get(name, 0) for c in counters) for name in ("late", "heard"))
     return TimingFigures(
         cycle_stretch=tempo.stretch,
         cycle_ms=tempo.cycle_s * 1e3,
@@ -79,7 +82,8 @@ def figures_of(
         deadline_misses=incomplete + overrun,
         incomplete=incomplete,
         overrun=overrun,
-        late_shares=sum(c.get("late", 0) for c in counters),
+        late_shares=late_frames,
+        late_percent=100 * late_frames / max(late_frames + heard, 1),
         late_bids=sum(len(grant.unheard) for grant in grants if grant.unheard),
         cycle_jitter=_spread(late),
         heartbeat=_spread(came),
@@ -131,7 +135,8 @@ def lines(figures: TimingFigures) -> list[str]:
         f"bus's), a step every {figures.step_ms:.4g} ms",
         f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
         f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
-        f"late shares {figures.late_shares}, bids {figures.late_bids}; steps without readings "
+        f"late shares {figures.late_shares} "
+        f"({figures.late_percent:.2g} %), bids {figures.late_bids}; steps without readings "
         f"{figures.lost_heartbeats}; skips of nodes far behind {figures.skips}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
         f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)} (limit "

@@ -20,6 +20,10 @@ from concord.scenarios.setup import Setup
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
 
 
+# A file may claim arrays that it does not hold; compressed ones are seldom a hundredth.
+_MOST_BYTES, _MOST_EXPANDED = 100_000_000, 1000
+
+
 def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
     """Return the coordinates of steps and of the plant's states."""
     plant = definition_of(setup.scenario).plant(setup.scenario)
@@ -64,8 +68,10 @@ def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Datas
     """
     import xarray
 
-    with _readable(path, remedy):
-        dataset = xarray.load_dataset(path, engine="h5netcdf")
+    with _readable(path, remedy), xarray.open_dataset(path, engine="h5netcdf") as opened:
+        if opened.nbytes > max(_MOST_BYTES, _MOST_EXPANDED * path.stat().st_size):
+            raise ValueError(f"it claims {opened.nbytes} bytes")
+        dataset = opened.load()
     lacking = [name for name in names if name not in dataset.variables]
     if lacking:
         raise ValueError(f"{path}: has no variable {', '.join(lacking)}; {remedy}")

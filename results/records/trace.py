@@ -1,6 +1,6 @@
 """A run as arrays: what its recording says, step by step."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +14,15 @@ from concord.results.bus.sent_shares import SentShares
 from concord.results.records.extras import Past, RunExtra, run_extras
 from concord.results.records.record_spread import RecordSpread, record_spread
 from concord.runtime.recorded import SharedFrame, meaning
+from concord.runtime.recording import DAMAGE
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.catalogue import beside_truth
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
+
+Places = Container[tuple[int, int]]
+"""Steps and nodes of messages."""
 
 
 class Trace(NamedTuple):
@@ -44,7 +48,8 @@ class Trace(NamedTuple):
         estimate_age_s: (steps, N), age of each estimate when it was sent; None but in real time.
         extra: what nodes tell beside their beliefs, of scenarios with `RunExtras`; then the truth
         is cut to the states of a belief. duality_gap: (steps, N), of sets that a programme found;
-        None without.
+        None without. damaged_bytes: of the recording; a step that lacks a message is left out as in
+        real time.
     """
 
     truth: np.ndarray
@@ -65,6 +70,7 @@ class Trace(NamedTuple):
     estimate_age_s: np.ndarray | None = None
     extra: RunExtra | None = None
     duality_gap: np.ndarray | None = None
+    damaged_bytes: int = 0
 
     @property
     def steps(self) -> int:
@@ -90,8 +96,9 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     estimates: dict[tuple[int, int], Estimate] = {}
     on_bus = BusRecord(nodes)
     events: list[Event] = []
-    timed, frames = False, frame_format(setup.scenario)
+    timed, frames, damaged_bytes = False, frame_format(setup.scenario), 0
     for topic, data in messages:
+        damaged_bytes += int(data) if topic == DAMAGE else 0
         match meaning(topic, data, nodes, frames):
             case SharedFrame(node, fragment):
                 on_bus.note_frame(node, fragment, len(data) - frames.overhead_bytes)
@@ -110,23 +117,28 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
             case Timing():
                 timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
-    steps = 0
-    if timed:
-        # Only in real time does anybody go on without what was lost, the truth of a step included.
+    if timed or damaged_bytes:
+        # Only then does a step count that lacks a message, its truth included.
         steps = 1 + max((step for step, _ in estimates), default=-1)
         history = with_holes(history, estimates.keys() & measured.keys(), nodes, steps)
-    # Also where all nodes are out in the last steps.
-    while not timed and (
-        steps in truths
-        and all(
-            (steps, node) in kept
-            for kept in (measured, estimates)
-            for node in range(nodes)
-            if history.is_in(node, steps)
-        )
+    else:
+        steps = _whole_steps(history, nodes, truths, measured, estimates)
+    trace = _assemble(setup, history, steps, truths, measured, estimates, on_bus)
+    return trace._replace(damaged_bytes=damaged_bytes)
+
+
+def _whole_steps(history: History, nodes: int, truths: Container[int], *kept: Places) -> int:
+    """Return the number of steps with a truth and, in each of `kept`, a message of each member;
+    also where all nodes are out in the last steps."""
+    steps = 0
+    while steps in truths and all(
+        (steps, node) in places
+        for places in kept
+        for node in range(nodes)
+        if history.is_in(node, steps)
     ):
         steps += 1
-    return _assemble(setup, history, steps, truths, measured, estimates, on_bus)
+    return steps
 
 
 def _assemble(

@@ -39,6 +39,8 @@ from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
 
 _TAIL = 0.999
+_LATE_SHARE = 0.01
+"""In real time such a part of the frames may come late without a word."""
 _HEAVY = 10.0
 """So many times the expected share of estimates beyond the quantile `_TAIL` is no chance."""
 
@@ -134,6 +136,15 @@ def _recorded(view: RunView) -> Iterator[Finding]:
             said=f"{steps} of {asked} steps were completed by all nodes",
             cure=f"run it again, or ask for --steps {steps}",
             count=steps,
+        )
+    late, heard = (int(np.sum(view.runs.counters.get(name, 0))) for name in ("late", "heard"))
+    if view.runs.estimate_age_s is not None and late > _LATE_SHARE * (late + heard):
+        yield Finding(
+            level="CHECK",
+            cause="late frames",
+            said=f"{100 * late / (late + heard):.2g} % of the frames came after their cycle",
+            cure="use a larger --cycle-stretch, or fewer nodes on this machine",
+            count=late,
         )
 
 

@@ -6,16 +6,18 @@ closes.
 """
 
 import os
+import resource
 import select
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
-from concord.disk import NotWritten, RunFailed
+from concord.disk import RunFailed
 from concord.nodes.tempo import Tempo
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import NetworkAddresses, write_network
@@ -27,6 +29,7 @@ from concord.scenarios.setup import Setup
 _STOP_TIMEOUT_S = 3.0
 # How often the launcher looks whether a silent launcher process is there and runs.
 _LOOK_S = 1.0
+_SOON_FINISHED_BYTES = 100_000_000
 
 
 class NetworkFailed(RunFailed):
@@ -58,6 +61,13 @@ def run_processes(
     run_job(Job(setup, run, str(recording), port, tempo), recording.parent, on_event)
 
 
+def raise_file_limit() -> None:
+    """Let this process and its children open as many files as the system permits it to ask for."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
 def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
     """Run the processes of a job until the end; where the network is stands in `folder`.
 
@@ -65,6 +75,7 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: the job cannot be done.
     """
+    raise_file_limit()
     if job.place is not None or job.port is not None:
         _run_job(job, folder, on_event)
         return
@@ -93,7 +104,7 @@ def _run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]
     try:
         child.stdin.write(msgspec.json.encode(job) + b"\n")
         child.stdin.flush()
-        _follow(_reports(child), hear)
+        _follow(_reports(child, _Kept(job.recording)), hear)
     finally:
         if not is_loaded:
             # While the process loads its modules it does not read its lifeline. Children that it
@@ -107,8 +118,11 @@ def _run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]
             child.kill()
             child.wait()
         # A disk that is full has said so already; `concord collect` tries again.
-        with suppress(NotWritten, ValueError):
-            finish_recording(Path(job.recording))
+        recording = Path(job.recording)
+        with suppress(OSError, ValueError):
+            # A recorder that was killed left no summary; of a long run, `concord collect` finds it.
+            if recording.is_file() and recording.stat().st_size < _SOON_FINISHED_BYTES:
+                finish_recording(recording)
 
 
 def _note(
@@ -120,14 +134,48 @@ def _note(
     on_event(happened)
 
 
-def _reports(child: subprocess.Popen[bytes]) -> Iterator[bytes]:
+class _Kept:
+    """Whether the recording of a run is where it was begun; "" is none."""
+
+    def __init__(self, recording: str) -> None:
+        self._recording, self._begun = recording, None
+        self._next_s = time.monotonic() + _LOOK_S
+
+    def look(self) -> None:
+        """Look once a second.
+
+        Raises:
+            NetworkFailed: the recording is gone; what follows would be written to no file.
+        """
+        now_s = time.monotonic()
+        if not self._recording or now_s < self._next_s:
+            return
+        self._next_s = now_s + _LOOK_S
+        try:
+            found = Path(self._recording).stat()
+        except FileNotFoundError:
+            found = None
+        there = None if found is None else (found.st_dev, found.st_ino)
+        if self._begun is not None and there != self._begun:
+            raise NetworkFailed(
+                f"{self._recording} was removed or moved while the run went on; what came after "
+                "that is lost, so run it again"
+            )
+        self._begun = there
+
+
+def _reports(child: subprocess.Popen[bytes], kept: _Kept) -> Iterator[bytes]:
     """Yield the lines of the launcher process until it closes its output or ends.
 
     Its children hold its output open, so its end alone does not close it.
+
+    Raises:
+        NetworkFailed: the recording is gone.
     """
     assert child.stdout is not None
     pending = b""
     while True:
+        kept.look()
         readable, _, _ = select.select([child.stdout], [], [], _LOOK_S)
         if readable:
             read = os.read(child.stdout.fileno(), 65_536)

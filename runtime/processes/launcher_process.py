@@ -60,6 +60,8 @@ def main() -> None:
     """Serve one job."""
     # A process that is stopped goes on, and finds its standard input closed.
     signal_at_parents_end(signal.SIGCONT)
+    # Ctrl-C is for the launcher, also where a program signals the whole group.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     line = sys.stdin.buffer.readline()
     if not line.endswith(b"\n"):
         # The launcher is gone before it said what to do.

@@ -45,13 +45,19 @@ def be_recorder(
     """Keep what is said, and let others hear it."""
     # Only here, after the fork: no node needs the recorder.
     from concord.runtime.processes.recorder.process import run_recorder
-    from concord.runtime.recording import McapRecorder
+    from concord.runtime.recording import McapRecorder, origin_of
     from concord.runtime.whole_steps import WholeSteps
 
     scenario = job.setup.scenario
     try:
         frames = frame_format(scenario)
-        recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s, frames)
+        recorder = McapRecorder(
+            Path(job.recording),
+            scenario.rounds,
+            job.setup.time_step_s,
+            frames,
+            origin_of(job.setup, job.run),
+        )
         # In real time a node that hangs must not hold up a page.
         wait = {} if job.tempo is None else {"longest_wait_steps": _LONGEST_WAIT_STEPS}
         steps = WholeSteps(scenario.nodes, scenario.rounds, frames, **wait)

@@ -8,11 +8,12 @@ _OUT = ("left", "gone")
 
 
 class Turn(NamedTuple):
-    """A node is out of the network, or back in it, from a step on."""
+    """A node is out of the network, or back in it, from a step on; `told` on command."""
 
     step: int
     node: int
     is_in: bool
+    told: bool = True
 
 
 class MemberHistory(NamedTuple):
@@ -30,6 +31,13 @@ class MemberHistory(NamedTuple):
         turns = self.turns.get(node, [])
         last = bisect_right(turns, step, key=_step_of) - 1
         return last < 0 or turns[last].is_in
+
+    def hangs_in(self, node: int, step: int) -> bool:
+        """Whether a node is out in a step, and no command said so: it may hang, and speak on until
+        it hears that it was given up."""
+        turns = self.turns.get(node, [])
+        last = bisect_right(turns, step, key=_step_of) - 1
+        return last >= 0 and not (turns[last].is_in or turns[last].told)
 
     def joins_at(self, node: int, step: int) -> bool:
         """Whether a node is back from this step on, for however long."""
@@ -79,7 +87,7 @@ def member_history_of(rounds: int, events: Sequence[tuple[int, dict[str, Any]]])
             before = turns.setdefault(change["node"], [])
             # In real time a node may be given up from a step that is over, before its last return.
             first = max([step, *(turn.step for turn in before[-1:])])
-            turn = Turn(first, change["node"], change["what"] == "joined")
+            turn = Turn(first, change["node"], change["what"] == "joined", change["what"] == "left")
             if (before[-1].is_in if before else True) == turn.is_in:
                 repeated.append(turn)
             before.append(turn)

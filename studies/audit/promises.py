@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concord.studies.audit.evidence import Evidence, floats
+from concord.studies.audit.evidence import MOST_GROUPS, Evidence, floats
 from concord.studies.audit.member_history import MemberHistory
 
 # A node that is silent for so long has to be given up: a lease of 2 s, and the time to tell of it.
@@ -53,12 +53,34 @@ def _account(checked: int, broken: Iterable[str], note: str = "") -> Account:
 
 def _steps(run: Run) -> Account:
     truths, kept = run.evidence.truths, run.evidence.arrays.sizes["step"]
-    broken = [
-        f"step {step}: {truths[step]} truths" for step in range(run.complete) if truths[step] != 1
-    ]
+    counts = {step: len(truths.get(step, ())) for step in range(run.complete)}
+    broken = [f"step {step}: {count} truths" for step, count in counts.items() if count != 1]
     if kept != run.complete:
         broken.append(f"run.nc has {kept} steps, the recording {run.complete}")
     return _account(run.complete, broken)
+
+
+def _of_one_run(run: Run) -> Account:
+    """Whether run.json, run.mcap and run.nc tell of one run; a file that says nothing is told."""
+    origins = run.evidence.origins
+    (first, asked), *others = origins.items()
+    broken = [
+        f"{name} is {value!r} in {first}, {told.get(name)!r} in {other}"
+        for other, told in others
+        if told
+        for name, value in asked.items()
+        if told.get(name) != value
+    ]
+    silent = [other for other, told in others if not told]
+    return _account(len(asked), broken, f"{', '.join(silent)} names no run" if silent else "")
+
+
+def _all_steps(run: Run) -> Account:
+    """Whether the run went through all steps of its scenario."""
+    asked = run.evidence.scenario.steps
+    if run.evidence.in_real_time or run.complete == asked:
+        return Account(asked, 0)
+    return Account(asked, 1, f"{run.complete} of {asked} steps")
 
 
 def _members(run: Run) -> Iterator[tuple[int, int]]:
@@ -128,23 +150,26 @@ def _estimate_ages(run: Run) -> Account:
 def _strangers(run: Run) -> Account:
     """Whether a node that is out says nothing.
 
-    A process may die amid the step from which its node is out, or in which it joins. In real time
-    a node speaks on until it hears that it is out; these words are counted.
+    A process may die amid the step from which its node is out, or in which it joins. A node that
+    hangs, and any node in real time, speaks on until it hears that it was given up; these words are
+    counted.
     """
     said, member = run.evidence, run.membership
     words = [
-        f"step {step}: estimate of node {node}"
+        (step, node, f"step {step}: estimate of node {node}")
         for step, node in sorted(said.estimates)
         if not member.is_in(node, step)
     ]
     for cycle, node in sorted(said.frames):
         step = member.step_of(cycle)
         if not (member.is_in(node, step) or member.dies_in(node, step)):
-            words.append(f"cycle {cycle}: frame of node {node}")
-    checked = len(said.estimates) + len(said.frames)
-    if said.in_real_time:
-        return Account(checked, 0, note=f"{len(words)} words of nodes that were out" * bool(words))
-    return _account(checked, words)
+            words.append((step, node, f"cycle {cycle}: frame of node {node}"))
+    broken = [
+        text for step, node, text in words if not (said.in_real_time or member.hangs_in(node, step))
+    ]
+    counted = len(words) - len(broken)
+    note = f"{counted} words of nodes that were out" if counted else ""
+    return _account(len(said.estimates) + len(said.frames), broken, note)
 
 
 def _once(run: Run) -> Account:
@@ -363,20 +388,132 @@ def source_of(run: Run, step: int, joined: dict[str, Any]) -> int | None:
 
 
 def _readable(run: Run) -> Account:
-    return Account(1, run.evidence.unreadable, "messages that are none of ours")
+    return _account(1, run.evidence.unreadable)
+
+
+def _placed(run: Run) -> Account:
+    """Whether the messages of a topic stand in order, each at the time of its step.
+
+    In real time, and where nodes died or hung, the recorder may hear a message late.
+    """
+    misplaced = run.evidence.misplaced
+    if run.evidence.in_real_time or run.evidence.given_up:
+        return Account(1, 0, note=f"{len(misplaced)} heard late" if misplaced else "")
+    return _account(1, misplaced)
+
+
+def _heartbeats(run: Run) -> Account:
+    """Whether each member got its readings in each step, which run.nc holds to the bit."""
+    said, shown = run.evidence, run.evidence.arrays["readings"].values
+    broken, missing, checked = [], 0, 0
+    for step, node in _members(run):
+        checked += 1
+        readings = said.readings.get((step, node))
+        if readings is None:
+            missing += 1
+            if not (said.in_real_time or run.membership.left_at(node, step) == step + 1):
+                broken.append(f"step {step}: none for node {node}")
+        elif (step, node) in said.estimates and step < len(shown):
+            same = np.array_equal(shown[step, node], readings, equal_nan=True)
+            broken += [] if same else [f"step {step}: other readings of node {node} in run.nc"]
+    note = f"{missing} missing" if missing and said.in_real_time else ""
+    return _account(checked, broken, note)
+
+
+def _truths(run: Run) -> Account:
+    """Whether run.nc holds the recorded truths, to the bit."""
+    shown = run.evidence.arrays["truth"].values
+    broken = []
+    for step, states in sorted(run.evidence.truths.items()):
+        if step < min(run.complete, len(shown)):
+            state = states[0][: shown.shape[-1]]
+            same = np.array_equal(shown[step], state, equal_nan=True)
+            broken += [] if same else [f"step {step}"]
+    return _account(min(run.complete, len(shown)), broken)
+
+
+def _grants(run: Run) -> Account:
+    """Whether each contest has one grant, whose winners asked for a slot, and run.nc shows which
+    nodes asked; nodes that died may have asked unheard."""
+    said, member = run.evidence, run.membership
+    broken, contests = [], sorted({key for key, _ in said.bids})
+    for key in contests:
+        cycle, group = divmod(key, MOST_GROUPS)
+        grants, step = said.grants.get((cycle, group), []), member.step_of(cycle)
+        if len(grants) != 1 and step < run.complete:
+            broken.append(f"step {step}, cycle {cycle}: {len(grants)} grants")
+    for (cycle, group), grants in sorted(said.grants.items()):
+        step = member.step_of(cycle)
+        for node in grants[0]:
+            if not any(said.bids.get((cycle * MOST_GROUPS + group, node), ())):
+                broken.append(f"step {step}, cycle {cycle}: node {node} won without a bid")
+    asked = run.evidence.arrays["asked"].values
+    for step in range(min(run.complete, len(asked))):
+        for place, cycle in enumerate(member.cycles_of(step)):
+            for node in range(run.nodes):
+                first = cycle * MOST_GROUPS
+                bid = said.bids.get((first, node), ())
+                if bool(asked[step, place, node]) != any(bid) and _one_group(said, cycle):
+                    broken.append(f"step {step}, cycle {cycle}: bid of node {node}")
+    if said.in_real_time or said.given_up:
+        return Account(len(contests), 0, note=f"{len(broken)} lost" if broken else "")
+    return _account(len(contests) + len(said.grants), broken)
+
+
+def _one_group(said: Evidence, cycle: int) -> bool:
+    return (cycle, 1) not in said.grants
+
+
+def _totals(run: Run) -> Account:
+    """Whether a node counts as many frames as it has sent, and heard no more than its network sent
+    since it joined."""
+    said, member = run.evidence, run.membership
+    broken, checked = [], 0
+    sent = {place: sum(frames.values()) for place, frames in said.frames.items()}
+    own, all_sent = dict.fromkeys(range(run.nodes), 0), 0
+    base, heard_from = dict.fromkeys(range(run.nodes), 0), dict.fromkeys(range(run.nodes), 0)
+    for step in range(run.complete):
+        for node in range(run.nodes):
+            if member.joins_at(node, step):
+                base[node], heard_from[node] = own[node], all_sent
+        for cycle in member.cycles_of(step):
+            for node in range(run.nodes):
+                own[node] += sent.get((cycle, node), 0)
+                all_sent += sent.get((cycle, node), 0)
+        for node in range(run.nodes):
+            for estimate in said.estimates.get((step, node), ())[:1]:
+                checked += 1
+                counted, told = own[node] - base[node], estimate.counters
+                if told.get("sent", 0) != counted and member.is_in(node, step):
+                    broken.append(
+                        f"step {step}: node {node} counts {told.get('sent', 0)} sent, {counted} are"
+                        " recorded"
+                    )
+                elif told.get("heard", 0) > all_sent - heard_from[node]:
+                    broken.append(f"step {step}: node {node} heard more than was sent")
+    if said.in_real_time or said.given_up:
+        return Account(checked, 0, note=f"{len(broken)} differ" if broken else "")
+    return _account(checked, broken)
 
 
 PROMISES = (
+    RunPromise("run.json, run.mcap and run.nc are of one run", _of_one_run),
+    RunPromise("the run went through all its steps", _all_steps),
     RunPromise("each recorded message can be read", _readable),
+    RunPromise("messages stand in order, at their times", _placed),
     RunPromise("each step has one truth, and run.nc has each step", _steps),
     RunPromise("each member has an estimate in each step", _estimates),
     RunPromise("each estimate in real time says its age, in the limit", _estimate_ages),
     RunPromise("a node that is out says nothing", _strangers),
     RunPromise("each message is recorded once", _once),
+    RunPromise("each member gets its readings in each step", _heartbeats),
+    RunPromise("run.nc holds the recorded truths, to the bit", _truths),
     RunPromise("run.nc holds the recorded estimates, to the bit", _arrays),
+    RunPromise("each contest has its bids and one grant", _grants),
     RunPromise("run.nc shows the cycles in which nodes sent", _published),
     RunPromise("each share that a node holds was sent", _ages),
     RunPromise("counters never fall within a life", _counters),
+    RunPromise("counters tell the recorded frames", _totals),
     RunPromise("all members hear of the same changes", _told),
     RunPromise("no member takes another member for out", _agreed),
     RunPromise("members leave, and absent nodes join", _turns),

@@ -85,7 +85,7 @@ def _complete(run: Run) -> int:
         return min(last, max((step for step, _ in said.estimates), default=-1)) + 1
     complete = last + 1
     if complete < said.scenario.steps:
-        while complete > max(last - _STEPS_CUT, 0) and not _is_whole(run, complete - 1):
+        while complete > max(last + 1 - _STEPS_CUT, 0) and not _is_whole(run, complete - 1):
             complete -= 1
     return complete
 

@@ -11,6 +11,7 @@ from concord.results.folder import commit, versions
 from concord.runtime.json_file import read_json
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
+from concord.scenarios.user.trust import remember, require_known
 from concord.scenarios.warnings import warnings_of
 from concord.studies.design.age_bound import bound_steps_of
 from concord.studies.design.candidates import (
@@ -96,7 +97,7 @@ def design_of(task: SearchTask, found: Found, finished: bool) -> Design:
     scenario = found.candidates[0].cell.scenario
     line = {one.cell.number for one in on_front(target, minimise, found.candidates)}
     attempts = [_attempt(task, one) for one in found.confirmed]
-    return Design(
+    design = Design(
         scenario=scenario.name,
         settled=settled,
         seed=scenario.seed,
@@ -111,6 +112,8 @@ def design_of(task: SearchTask, found: Found, finished: bool) -> Design:
         versions=versions(),
         commit=commit(),
     )
+    remember(design)
+    return design
 
 
 def check_place(path: Path) -> None:
@@ -135,12 +138,14 @@ def read_design(path: Path) -> Design:
     Raises:
         ValueError: there is none, or it is not one of ours.
     """
-    return read_json(
+    design = read_json(
         path,
         Design,
         "name a file that concord design has written",
         "not the result of `concord design`",
     )
+    require_known(design, path)
+    return design
 
 
 def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:

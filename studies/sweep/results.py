@@ -17,6 +17,7 @@ from concord.results.folder import provenance
 from concord.results.records.netcdf_file import read_dataset, write_dataset
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario_definition import ScenarioDefinition
+from concord.scenarios.user.trust import UnknownCode, require_known
 from concord.studies.monte_carlo.moments import (
     PAIR_STATISTICS,
     PAIRS,
@@ -161,7 +162,10 @@ def read_result(path: Path) -> "xarray.Dataset":
         raise ValueError(f"{path}: not the result of `concord sweep`: it has no specification")
     try:
         specification = specification_of(dataset)
+        require_known(specification, path)
         cells_of(specification)
+    except UnknownCode:
+        raise
     except ValueError as error:
         raise ValueError(f"{path}: is damaged ({error}); {remedy}") from None
     lacking = {"seed", "versions", "commit"} - dataset.attrs.keys()

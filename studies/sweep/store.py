@@ -13,6 +13,7 @@ import numpy as np
 from concord.disk import whole_file
 from concord.results.places import make_folder
 from concord.runtime.json_file import read_json, write_json
+from concord.scenarios.user.trust import remember, require_known
 from concord.studies.sweep.cells import difference
 from concord.studies.sweep.pieces import Origin, program
 from concord.studies.sweep.specification import Specification
@@ -46,6 +47,7 @@ def open_store(result: Path, specification: Specification) -> Path:
     """
     folder, here = folder_of(result), program()
     make_folder(folder, "--out", result)
+    remember(specification)
     if not (folder / SPECIFICATION).exists():
         now = Begun(specification, here.versions, here.commit)
         write_json(folder / SPECIFICATION, now)
@@ -67,7 +69,9 @@ def read_begun(folder: Path) -> Begun:
         ValueError: it is none of a sweep.
     """
     cure = "name the folder of pieces that `concord sweep --shard` has made"
-    return read_json(folder / SPECIFICATION, Begun, cure, "not a sweep of ours; remove its folder")
+    begun = read_json(folder / SPECIFICATION, Begun, cure, "not a sweep of ours; remove its folder")
+    require_known(begun.specification, folder)
+    return begun
 
 
 def check_same(before: Specification, now: Specification, result: Path, cure: str) -> None:
@@ -94,7 +98,7 @@ def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray] | None:
     try:
         with _path(folder, name).open("rb") as file, np.load(file) as arrays:
             return {name: arrays[name] for name in arrays.files}
-    except (OSError, ValueError, zipfile.BadZipFile):
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from concord.nodes.tempo import Tempo
 from concord.results.figures.summary import Summary, heard_by_all, summarise
-from concord.results.folder import describe, write_whole
+from concord.results.folder import describe, write_description, write_whole
+from concord.results.records.netcdf_file import DESCRIPTION
 from concord.results.records.runs import runs_of_trace
 from concord.results.records.runs_file import runs_dataset
 from concord.results.records.trace import Trace, read_trace
@@ -37,7 +38,10 @@ def write_arrays(folder: Path, setup: Setup, trace: Trace, tempo: Tempo | None =
     runs = runs_of_trace(setup, trace)
     dataset = runs_dataset(runs, heard=heard_by_all(runs))
     driver = "processes" if tempo is None else "realtime"
-    write_whole(folder, dataset, describe("test", driver, setup, tempo))
+    description = describe("test", driver, setup, tempo)
+    if not (folder / DESCRIPTION).exists():
+        write_description(folder, description)
+    write_whole(folder, dataset, description)
 
 
 def trace_of(setup: Setup, recording: Path) -> Trace:

@@ -50,7 +50,7 @@ def test_a_container_s_limit_counts(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("limit", "verdict"), [(1024, OK), (300, FAILING), (resource.RLIM_INFINITY, OK)]
+    ("limit", "verdict"), [(1024, OK), (43, FAILING), (resource.RLIM_INFINITY, OK)]
 )
 def test_the_limit_of_open_files(limit: int, verdict: Verdict):
     assert doctor.files(16, limit).verdict is verdict

@@ -152,10 +152,11 @@ def test_a_loop_through_an_estimate_is_refused():
 def test_cycles_last_as_long_as_processes_can_hold():
     setup = small(steps=2)
     tempo = tempo_of(setup, None)
-    assert tempo.cycle_s == pytest.approx(0.02)
+    assert tempo.cycle_s == pytest.approx(0.1 / 3)
     assert tempo.step_s == pytest.approx(0.1)
+    assert tempo_of(small("target-tracking", steps=2), None).cycle_s == pytest.approx(0.1)
     # Where cycles do not fit between sampling instants, these follow when cycles are over.
-    slow = tempo_of(setup, 10 * tempo.stretch)
+    slow = tempo_of(setup, 6 * tempo.stretch)
     assert slow.cycle_s == pytest.approx(0.2)
     assert slow.step_s == pytest.approx(3 * 0.2)
     assert slow.group_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
@@ -170,10 +171,14 @@ def test_figures_count_what_was_said():
     granted = [Grant(0, [1], 0), Grant(1, [1], 0, [0, 2])]
     messages = [(topic(one), encode(one)) for one in (*said, *granted)]
     figures = figures_of(
-        Tempo(10.0, 0.02, 0.1), messages, [{"late": 2}, {}], np.array([[0.061, 0.071]])
+        Tempo(10.0, 0.02, 0.1),
+        messages,
+        [{"late": 2, "heard": 8}, {"heard": 10}],
+        np.array([[0.061, 0.071]]),
     )
     assert (figures.cycles, figures.deadline_misses, figures.late_shares) == (6, 3, 2)
     assert figures.late_bids == 2
+    assert figures.late_percent == 100 * 2 / 20
     assert figures.cycle_jitter.largest_ms == pytest.approx(50)
     assert figures.delay.p50_ms == pytest.approx(66)
     assert figures.delay_limit_ms == pytest.approx(2600)

@@ -53,6 +53,9 @@ from concord.runtime.processes.job import NodeEnded
 from concord.runtime.processes.peer_timeout import PeerTimeout
 from concord.runtime.processes.republisher import Republisher
 
+# A process on this machine that cannot be met in such a time has no files left, or no socket.
+_MEETING_S = 60.0
+
 
 class Management(NamedTuple):
     """`kill(node)` and `start(node, life)` its process, `check(before, asked)` what people want to
@@ -142,7 +145,9 @@ class EnvironmentProcess:
     def work(self) -> None:
         """Run from the first hello to the end."""
         known = (self._nodes, self._fingerprint)
-        gather(self.transport, self.inbox, *known, self._hear_of_presence)
+        # On another host a process may be started at any time.
+        patience_s = _MEETING_S if self._management.keeps_nodes else math.inf
+        gather(self.transport, self.inbox, *known, self._hear_of_presence, patience_s)
         self.republisher.begin()
         self.inbox.begin()
         follow_ends(self._management.ends, self.inbox.notify)

@@ -1,8 +1,11 @@
 """The recorder process: it keeps the messages of all others, and lets subscribers hear them."""
 
+import signal
+import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from types import FrameType
 
 import msgspec
 
@@ -56,11 +59,12 @@ def run_recorder(
     subscribers = Subscribers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
     ends, remembered = _Ends(transport, steps.nodes), Deduplication()
+    told = _told_to_end(lambda: transport.wake("**"))
     finished: Finished | None = None
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
     topics: set[str] = set()
-    while finished is None or not _complete(finished, latest, ends.silent):
+    while not told.is_set() and not (finished and _complete(finished, latest, ends.silent)):
         received, is_woken = transport.receive_all("**")
         received = remembered.what_is_new(received, _ONCE_MORE)
         kept = list(_to_be_kept(received, steps.nodes, topics))
@@ -84,9 +88,26 @@ def run_recorder(
             ends.look()
             subscribers.look()
     recorder.close()
+    if told.is_set():
+        # The launcher process ends all others; this one has kept what it was there for.
+        return
     transport.send("end", END)
     subscribers.close()
     transport.close()
+
+
+def _told_to_end(wake: Callable[[], None]) -> threading.Event:
+    """Return what is set when the launcher process asks this one to end, by SIGTERM."""
+    told = threading.Event()
+
+    def note(_signal: int, _frame: FrameType | None) -> None:
+        told.set()
+        # In a thread: this one may hold the lock that `wake` takes.
+        threading.Thread(target=wake, daemon=True).start()
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, note)
+    return told
 
 
 def _to_be_kept(
