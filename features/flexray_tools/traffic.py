@@ -34,7 +34,7 @@ def worst_responses(
         seen = _Channel(cluster, [slots[i] for i in order], [requests[i] for i in order])
         for place, response_us in zip(order, seen.run(cycles), strict=True):
             worst[place] = max(worst[place], response_us)
-    return tuple(None if response_us < 0 else response_us for response_us in worst)
+    return tuple(None if response_us < 0 else float(response_us) for response_us in worst)
 
 
 def _requests(

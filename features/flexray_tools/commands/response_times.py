@@ -14,6 +14,8 @@ from concord.bus.flexray.slot_file import read_slot_file
 from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster
+from concord.features.flexray_tools.commands.frame_logs import Columns, slots_of_log
+from concord.features.flexray_tools.frame_logs.log_files import is_frame_log
 from concord.features.flexray_tools.response_times import FrameResponse, ResponseTimes
 from concord.features.flexray_tools.traffic import worst_responses
 
@@ -43,6 +45,7 @@ def wcrt(
     *,
     cluster: str,
     name: str | None = None,
+    columns: Columns = None,
     simulate: int = 0,
     seed: int = 1,
     json: bool = False,
@@ -50,16 +53,19 @@ def wcrt(
     """Bound the time from a request to the end of its frame, for every frame of a slot table.
 
     Args:
-        slots: Slot table: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        slots: Slot table: TOML, FIBEX (.xml) or AUTOSAR (.arxml). Or a log of frames: the
+            slots in it, with the longest payloads and the shortest periods.
         cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
         name: Which cluster of a FIBEX or AUTOSAR file that has several.
+        columns: Columns file of a CSV log.
         simulate: Cycles of random traffic whose worst responses are shown beside the bounds.
         seed: Seed of the traffic.
         json: Print one JSON object.
     """
     with user_errors():
         bus = read_cluster(cluster, name)
-        table = read_slot_file(slots, bus)
+        log = is_frame_log(slots, columns)
+        table = slots_of_log(slots, bus, columns) if log else read_slot_file(slots, bus)
         if simulate < 0 or seed < 0:
             raise ValueError(
                 f"--simulate {simulate} --seed {seed}: both are numbers from 0 on; correct them"
