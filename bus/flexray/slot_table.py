@@ -26,13 +26,18 @@ REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 
 
 class SlotAssignment(msgspec.Struct, frozen=True):
-    """Node `node` sends frame `frame_id` in the cycles with `cycle % repetition == base_cycle`."""
+    """Node `node` sends frame `frame_id` in the cycles with `cycle % repetition == base_cycle`.
+
+    `latest_transmission_minislot` is the pLatestTx of its controller, where that is not the
+    cluster's.
+    """
 
     frame_id: int
     node: int
     channel: Channels = "A"
     base_cycle: int = 0
     repetition: int = 1
+    latest_transmission_minislot: int | None = None
 
     def sends(self, cycle: int) -> bool:
         return cycle % self.repetition == self.base_cycle
@@ -78,11 +83,20 @@ class SlotTable(msgspec.Struct, frozen=True):
         for slot in self.assignments:
             if slot.frame_id >= self.first_dynamic_id:
                 ids.setdefault(slot.node, []).append(slot.frame_id)
-        first = urgency_class * len(self.dynamic_payloads)
+        first, latest = urgency_class * len(self.dynamic_payloads), self.latest_minislots()
         return {
-            node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads))
+            node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads), latest.get(node))
             for node, owned in ids.items()
         }
+
+    def latest_minislots(self) -> dict[int, int]:
+        """The pLatestTx of each node whose controller has another than the cluster's."""
+        found: dict[int, int] = {}
+        for slot in self.assignments:
+            latest = slot.latest_transmission_minislot
+            if latest is not None:
+                found[slot.node] = min(latest, found.get(slot.node, latest))
+        return found
 
 
 def allocate(
@@ -193,9 +207,11 @@ def check_reachable(request: Request, cluster: Cluster) -> None:
         ValueError: it cannot.
     """
     if walk(cluster, [request]).waiting:
+        own = request.latest
+        latest = cluster.latest_transmission_minislot if own is None else own
         raise ValueError(
             f"node {request.node} could never send in dynamic slot {request.frame_id}: "
             f"{request.payload_bytes} bytes from there do not begin by minislot "
-            f"{cluster.latest_transmission_minislot} (pLatestTx) or end by {cluster.minislots} of "
+            f"{latest} (pLatestTx) or end by {cluster.minislots} of "
             f"cluster {cluster.name!r}; use fewer contenders or another cluster"
         )

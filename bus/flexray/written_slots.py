@@ -77,7 +77,14 @@ def written_table(
     dynamic = _contended([slot for slot in own if slot.frame_id >= first], dynamic_payloads)
     return SlotTable(
         tuple(
-            SlotAssignment(slot.frame_id, slot.node, slot.channel, slot.base_cycle, slot.repetition)
+            SlotAssignment(
+                slot.frame_id,
+                slot.node,
+                slot.channel,
+                slot.base_cycle,
+                slot.repetition,
+                slot.latest_transmission_minislot if slot.frame_id >= first else None,
+            )
             for slot in (*static, *dynamic)
         ),
         first,
@@ -138,6 +145,7 @@ def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]
             base_cycle=slot.base_cycle,
             repetition=slot.repetition,
             urgency_class=places.get((slot.node, slot.frame_id), (0, 0))[0],
+            latest_transmission_minislot=slot.latest_transmission_minislot,
         )
         for slot in sorted(table.assignments, key=lambda one: (one.frame_id, one.base_cycle))
     )

@@ -119,7 +119,7 @@ class ResponseTimes:
     def _dynamic(self, slot: MessageSlot) -> _Dynamic:
         cluster = self._cluster
         minislots = cluster.dynamic_slot_minislots(slot.payload_bytes)
-        latest = min(cluster.latest_transmission_minislot, cluster.minislots - minislots + 1)
+        latest = slot.last_minislot(cluster)
         place = slot.frame_id - cluster.static_slots
         period_us = slot.period_us or slot.repetition * cluster.cycle_us
         return _Dynamic(slot, place, latest, minislots - 1, period_us, None)

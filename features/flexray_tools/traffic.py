@@ -93,6 +93,7 @@ class _Channel:
             for slot in slots
         ]
         self._sent: dict[int, int] = {}
+        self._last = [slot.last_minislot(cluster) for slot in slots]
         self._lengths = [cluster.dynamic_slot_minislots(slot.payload_bytes) for slot in slots]
 
     def run(self, cycles: int) -> list[float]:
@@ -125,8 +126,7 @@ class _Channel:
     def _dynamic_minislots(self, place: int, start_us: float, minislot: int) -> int:
         """Send what is pending in a dynamic slot, and return how long the slot is."""
         cluster, length = self._cluster, self._lengths[place]
-        last = min(cluster.latest_transmission_minislot, cluster.minislots - length + 1)
-        if minislot > last:
+        if minislot > self._last[place]:
             return 1
         slot_us = start_us + cluster.minislot_start_us(minislot)
         frame_us = cluster.frame_us(self._slots[place].payload_bytes)

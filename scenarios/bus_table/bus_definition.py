@@ -39,10 +39,12 @@ class BusDefinition(NamedTuple):
     Attributes:
         plan: (its options, what is asked of it) -> the bus; raises ValueError if it cannot be.
         frame_format: of its options, how its frames carry shares.
+        notes: of its options, sentences for a user about values that the bus took by itself.
     """
 
     plan: Callable[[Any, BusRequest], Bus]
     frame_format: Callable[[Any], FrameFormat]
+    notes: Callable[[Any], tuple[str, ...]] = lambda _: ()
 
 
 def bus_definition(chosen: SharedBus) -> BusDefinition:
@@ -57,6 +59,12 @@ def frame_format(scenario: Scenario) -> FrameFormat:
     if isinstance(bus, UserBus):
         return user_frame_format(bus)
     return bus_definition(bus).frame_format(bus)
+
+
+def bus_notes(scenario: Scenario) -> tuple[str, ...]:
+    """Return sentences about values that a scenario's bus took by itself."""
+    bus = scenario.bus
+    return () if isinstance(bus, UserBus) else bus_definition(bus).notes(bus)
 
 
 def _ideal(_: SharedBus, asked: BusRequest) -> Bus:

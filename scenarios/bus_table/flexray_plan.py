@@ -11,7 +11,7 @@ from concord.bus.flexray.flexray_bus import flexray_bus
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
-from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, named_cluster
+from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, cluster_notes, named_cluster
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
 
@@ -84,4 +84,8 @@ def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPla
         ) from None
 
 
-FLEXRAY = BusDefinition(_flexray, lambda _: SHARE_FRAMES)
+def _notes(chosen: FlexRay) -> tuple[str, ...]:
+    return cluster_notes(chosen.cluster)
+
+
+FLEXRAY = BusDefinition(_flexray, lambda _: SHARE_FRAMES, _notes)

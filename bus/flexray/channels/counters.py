@@ -34,6 +34,7 @@ class SlotCounters:
             if slot.frame_id >= table.first_dynamic_id
         }
         self._channels = sorted(set(self._channel_of.values()))
+        self._latest = table.latest_minislots()
 
     def all_sent(self, requests: Sequence[Request]) -> bool:
         """Return whether these requests of nodes are sent while every other station sends."""
@@ -59,10 +60,16 @@ class SlotCounters:
 
     def most_fit(self, requests: Sequence[Request], most: int) -> int:
         """Return how many requests, at most `most`, fit whichever they are; the last IDs of each
-        counter are the worst, as every slot before them counts by empty."""
+        counter are the worst, as every slot before them counts by empty. Where controllers differ
+        in pLatestTx, the last ID of any choice may be the one that is too late."""
         counted = [own for _, own, _ in self._counted(requests, ())]
         for count in range(most, 0, -1):
-            if all(self.all_sent(own[-count:]) for own in counted):
+            ends = [range(1, 1 + len(own)) if self._latest else (len(own),) for own in counted]
+            if all(
+                self.all_sent(own[max(0, end - count) : end])
+                for own, last in zip(counted, ends, strict=True)
+                for end in last
+            ):
                 return count
         return 0
 
@@ -93,5 +100,9 @@ class SlotCounters:
     ) -> Iterator[tuple[str, list[Request], list[MessageSlot]]]:
         """Yield the channel of each counter, the nodes' requests and the other frames on it."""
         for channel in self._channels:
-            own = [one for one in requests if self._channel_of[one.node] == channel]
+            own = [
+                one._replace(latest=self._latest.get(one.node))
+                for one in requests
+                if self._channel_of[one.node] == channel
+            ]
             yield channel, own, [one for one in others if set(one.channel) & set(channel)]

@@ -22,8 +22,9 @@ from concord.features.flexray_tools.traffic import worst_responses
 
 class ResponseRow(msgspec.Struct, frozen=True):
     """The bound of one frame. `worst_us` is None if lower IDs may hold it up for ever; `spare_us`
-    is the deadline less the bound, None without either. `seen_us` is the worst response in random
-    traffic, and `margin_us` the bound less that; None without traffic."""
+    is the deadline less the bound, None without either. `latest_minislot` is the last in which a
+    dynamic frame may begin. `seen_us` is the worst response in random traffic, and `margin_us` the
+    bound less that; None without traffic."""
 
     frame_id: int
     node: int
@@ -35,6 +36,7 @@ class ResponseRow(msgspec.Struct, frozen=True):
     exact: bool
     deadline_us: float | None
     spare_us: float | None
+    latest_minislot: int | None = None
     seen_us: float | None = None
     margin_us: float | None = None
 
@@ -73,7 +75,7 @@ def wcrt(
     random = np.random.default_rng(seed)
     seen = worst_responses(bus, table, simulate, random)
     responses = ResponseTimes(bus, table).responses
-    rows = [_row(*one) for one in zip(responses, seen, strict=True)]
+    rows = [_row(bus, *one) for one in zip(responses, seen, strict=True)]
     if json:
         result = {"cluster": bus.name, "cycle_us": bus.cycle_us, "frames": rows}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
@@ -83,7 +85,7 @@ def wcrt(
         sys.stdout.write(f"{line}\n")
 
 
-def _row(response: FrameResponse, seen_us: float | None) -> ResponseRow:
+def _row(cluster: Cluster, response: FrameResponse, seen_us: float | None) -> ResponseRow:
     slot, worst_us = response.slot, response.worst_us
     spare_us = None
     if worst_us is not None and slot.deadline_us is not None:
@@ -99,6 +101,9 @@ def _row(response: FrameResponse, seen_us: float | None) -> ResponseRow:
         exact=response.exact,
         deadline_us=slot.deadline_us,
         spare_us=spare_us,
+        latest_minislot=slot.last_minislot(cluster)
+        if slot.frame_id >= cluster.first_dynamic_id
+        else None,
         seen_us=seen_us,
         margin_us=None if worst_us is None or seen_us is None else worst_us - seen_us,
     )
@@ -138,9 +143,9 @@ def _remarks(rows: list[ResponseRow], cluster: Cluster) -> list[str]:
         for row in rows
         if row.spare_us is not None and row.spare_us < 0
     ]
-    latest = cluster.latest_transmission_minislot
     said += [
-        f"frame ID {row.frame_id}: lower IDs may keep it beyond minislot {latest} (pLatestTx) for "
+        f"frame ID {row.frame_id}: lower IDs may keep it beyond minislot {row.latest_minislot} "
+        "(pLatestTx of its node, or the end of the segment) for "
         "ever; give it a lower ID, or lower IDs longer periods or fewer bytes"
         for row in rows
         if row.worst_us is None
