@@ -25,7 +25,7 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     of the bus and exactly every `period_us` after it. `deadline_us` bounds the time from a request
     to the end of the frame; without it, nothing does. A node with dynamic frames of several urgency
     classes sends those of one class in a cycle. `latest_transmission_minislot` is the pLatestTx of
-    the node's controller, where that is not the cluster's.
+    its controller, if not the cluster's.
     """
 
     frame_id: int
@@ -43,13 +43,6 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def sends(self, cycle: int) -> bool:
         """Whether the frame may be sent in a cycle."""
         return cycle % self.repetition == self.base_cycle
-
-    def last_minislot(self, cluster: Cluster) -> int:
-        """Return the last minislot in which the frame may begin, so that it ends in the segment."""
-        own = self.latest_transmission_minislot
-        latest = cluster.latest_transmission_minislot if own is None else own
-        minislots = cluster.dynamic_slot_minislots(self.payload_bytes)
-        return min(latest, cluster.minislots - minislots + 1)
 
 
 class Request(NamedTuple):

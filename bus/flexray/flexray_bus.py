@@ -41,6 +41,7 @@ class FlexRayBus(SlottedBus):
     has_time = True
     # A bound needs the periods of all frames, which a bus does not know.
     worst_access_us = nan
+    sync_in_frames = True
 
     def __init__(
         self,
@@ -86,6 +87,7 @@ class FlexRayBus(SlottedBus):
         drifts: tuple[ClockDrift, ...],
         outages: tuple[SyncOutage, ...],
         cycle: int,
+        key: tuple[int, int],
     ) -> ClockErrors:
         """Return the clocks of so many nodes in a cycle where some oscillators drift, and where
         the sync frames of some nodes are missing.

@@ -26,18 +26,13 @@ REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 
 
 class SlotAssignment(msgspec.Struct, frozen=True):
-    """Node `node` sends frame `frame_id` in the cycles with `cycle % repetition == base_cycle`.
-
-    `latest_transmission_minislot` is the pLatestTx of its controller, where that is not the
-    cluster's.
-    """
+    """Node `node` sends frame `frame_id` in the cycles with `cycle % repetition == base_cycle`."""
 
     frame_id: int
     node: int
     channel: Channels = "A"
     base_cycle: int = 0
     repetition: int = 1
-    latest_transmission_minislot: int | None = None
 
     def sends(self, cycle: int) -> bool:
         return cycle % self.repetition == self.base_cycle
@@ -45,13 +40,15 @@ class SlotAssignment(msgspec.Struct, frozen=True):
 
 class SlotTable(msgspec.Struct, frozen=True):
     """A schedule's slots on a cluster. A share travels in frames with payloads of these bytes, one
-    in each of its sender's slots of a cycle; a contender has such slots in each of `classes`."""
+    in each of its sender's slots of a cycle; a contender has such slots in each of `classes`.
+    `latest` are nodes with the pLatestTx of their controllers, where that is not the cluster's."""
 
     assignments: tuple[SlotAssignment, ...]
     first_dynamic_id: int
     static_payloads: tuple[int, ...]
     dynamic_payloads: tuple[int, ...]
     classes: int = 1
+    latest: tuple[tuple[int, int], ...] = ()
 
     def static_slots(self, cycle: int) -> tuple[SlotAssignment, ...]:
         """Static slots in use in this cycle, in order."""
@@ -83,20 +80,11 @@ class SlotTable(msgspec.Struct, frozen=True):
         for slot in self.assignments:
             if slot.frame_id >= self.first_dynamic_id:
                 ids.setdefault(slot.node, []).append(slot.frame_id)
-        first, latest = urgency_class * len(self.dynamic_payloads), self.latest_minislots()
+        first, latest = urgency_class * len(self.dynamic_payloads), dict(self.latest)
         return {
             node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads), latest.get(node))
             for node, owned in ids.items()
         }
-
-    def latest_minislots(self) -> dict[int, int]:
-        """The pLatestTx of each node whose controller has another than the cluster's."""
-        found: dict[int, int] = {}
-        for slot in self.assignments:
-            latest = slot.latest_transmission_minislot
-            if latest is not None:
-                found[slot.node] = min(latest, found.get(slot.node, latest))
-        return found
 
 
 def allocate(
@@ -207,11 +195,10 @@ def check_reachable(request: Request, cluster: Cluster) -> None:
         ValueError: it cannot.
     """
     if walk(cluster, [request]).waiting:
-        own = request.latest
-        latest = cluster.latest_transmission_minislot if own is None else own
         raise ValueError(
             f"node {request.node} could never send in dynamic slot {request.frame_id}: "
             f"{request.payload_bytes} bytes from there do not begin by minislot "
-            f"{latest} (pLatestTx) or end by {cluster.minislots} of "
-            f"cluster {cluster.name!r}; use fewer contenders or another cluster"
+            f"{request.latest or cluster.latest_transmission_minislot} (pLatestTx) or end by "
+            f"{cluster.minislots} of cluster {cluster.name!r}; use fewer contenders or another "
+            "cluster"
         )

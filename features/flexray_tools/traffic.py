@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import MessageSlot
-from concord.features.flexray_tools.response_times import is_alternative
+from concord.features.flexray_tools.response_times import is_alternative, last_minislot
 
 _LATE_CHANCE, _LATE_PERIODS = 0.3, 0.3
 
@@ -93,7 +93,7 @@ class _Channel:
             for slot in slots
         ]
         self._sent: dict[int, int] = {}
-        self._last = [slot.last_minislot(cluster) for slot in slots]
+        self._last = [last_minislot(slot, cluster) for slot in slots]
         self._lengths = [cluster.dynamic_slot_minislots(slot.payload_bytes) for slot in slots]
 
     def run(self, cycles: int) -> list[float]:

@@ -39,12 +39,12 @@ class BusDefinition(NamedTuple):
     Attributes:
         plan: (its options, what is asked of it) -> the bus; raises ValueError if it cannot be.
         frame_format: of its options, how its frames carry shares.
-        notes: of its options, sentences for a user about values that the bus took by itself.
+        notes: of a scenario on it, sentences that a user must know of before a run.
     """
 
     plan: Callable[[Any, BusRequest], Bus]
     frame_format: Callable[[Any], FrameFormat]
-    notes: Callable[[Any], tuple[str, ...]] = lambda _: ()
+    notes: Callable[[Scenario], tuple[str, ...]] = lambda _: ()
 
 
 def bus_definition(chosen: SharedBus) -> BusDefinition:
@@ -62,9 +62,9 @@ def frame_format(scenario: Scenario) -> FrameFormat:
 
 
 def bus_notes(scenario: Scenario) -> tuple[str, ...]:
-    """Return sentences about values that a scenario's bus took by itself."""
-    bus = scenario.bus
-    return () if isinstance(bus, UserBus) else bus_definition(bus).notes(bus)
+    """Return sentences about a scenario's bus that a user must know of."""
+    own = isinstance(scenario.bus, UserBus)
+    return () if own else bus_definition(scenario.bus).notes(scenario)
 
 
 def _ideal(_: SharedBus, asked: BusRequest) -> Bus:

@@ -22,22 +22,13 @@ def named_cluster(name: str) -> Cluster:
     Raises:
         ValueError: there is no such preset, or the file cannot be read.
     """
-    return _read(name)[0]
-
-
-def cluster_notes(name: str) -> tuple[str, ...]:
-    """Return a line for each value that the file of a cluster leaves open; none without a file."""
-    return () if name in (FITTED, REDUNDANT) else _read(name)[1]
-
-
-def _read(name: str) -> tuple[Cluster, tuple[str, ...]]:
     if name in PRESETS:
-        return preset(name), ()
+        return preset(name)
     # Only here: most networks have a fitted cluster or a preset.
-    from concord.bus.flexray.cluster_files import cluster_with_notes, file_endings
+    from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
 
     path = Path(name)
     if path.suffix not in file_endings():
         files = [f"FILE{ending}" for ending in file_endings()]
         raise unknown_name("cluster", name, (*cluster_names(), *files))
-    return cluster_with_notes(path)
+    return read_cluster_file(path)

@@ -1,5 +1,7 @@
 """FlexRay as the bus of a scenario: its cluster, its channels, and written slot tables."""
 
+from pathlib import Path
+
 import msgspec
 
 from concord.bus.bus import Bus, TooLong
@@ -11,7 +13,8 @@ from concord.bus.flexray.flexray_bus import flexray_bus
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
-from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, cluster_notes, named_cluster
+from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, named_cluster
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
 
@@ -84,8 +87,13 @@ def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPla
         ) from None
 
 
-def _notes(chosen: FlexRay) -> tuple[str, ...]:
-    return cluster_notes(chosen.cluster)
+def _notes(scenario: Scenario) -> tuple[str, ...]:
+    chosen = scenario.bus
+    if not isinstance(chosen, FlexRay) or "." not in chosen.cluster:
+        return ()
+    from concord.bus.flexray.cluster_files import cluster_with_notes
+
+    return cluster_with_notes(Path(chosen.cluster))[1]
 
 
 FLEXRAY = BusDefinition(_flexray, lambda _: SHARE_FRAMES, _notes)

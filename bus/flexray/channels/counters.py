@@ -34,7 +34,7 @@ class SlotCounters:
             if slot.frame_id >= table.first_dynamic_id
         }
         self._channels = sorted(set(self._channel_of.values()))
-        self._latest = table.latest_minislots()
+        self._latest = dict(table.latest)
 
     def all_sent(self, requests: Sequence[Request]) -> bool:
         """Return whether these requests of nodes are sent while every other station sends."""
@@ -64,12 +64,10 @@ class SlotCounters:
         in pLatestTx, the last ID of any choice may be the one that is too late."""
         counted = [own for _, own, _ in self._counted(requests, ())]
         for count in range(most, 0, -1):
-            ends = [range(1, 1 + len(own)) if self._latest else (len(own),) for own in counted]
-            if all(
-                self.all_sent(own[max(0, end - count) : end])
-                for own, last in zip(counted, ends, strict=True)
-                for end in last
-            ):
+            runs = [own[-count:] for own in counted]
+            if self._latest:
+                runs += [own[max(0, k - count) : k] for own in counted for k in range(len(own))]
+            if all(map(self.all_sent, runs)):
                 return count
         return 0
 

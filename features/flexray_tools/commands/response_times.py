@@ -16,7 +16,11 @@ from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster
 from concord.features.flexray_tools.commands.frame_logs import Columns, slots_of_log
 from concord.features.flexray_tools.frame_logs.log_files import is_frame_log
-from concord.features.flexray_tools.response_times import FrameResponse, ResponseTimes
+from concord.features.flexray_tools.response_times import (
+    FrameResponse,
+    ResponseTimes,
+    last_minislot,
+)
 from concord.features.flexray_tools.traffic import worst_responses
 
 
@@ -101,7 +105,7 @@ def _row(cluster: Cluster, response: FrameResponse, seen_us: float | None) -> Re
         exact=response.exact,
         deadline_us=slot.deadline_us,
         spare_us=spare_us,
-        latest_minislot=slot.last_minislot(cluster)
+        latest_minislot=last_minislot(slot, cluster)
         if slot.frame_id >= cluster.first_dynamic_id
         else None,
         seen_us=seen_us,
