@@ -223,6 +223,7 @@ def test_nginx_passes_the_page_on(path: str, tmp_path: Path, page: Dashboard, mo
                 time.sleep(0.05)
         answer = asked.getresponse()
         assert answer.status == 200 and b"<html" in answer.read()
+        asked.close()
         for origin, status in (("https://viz.example.org", 101), ("https://evil.example", 403)):
             try:
                 with connect(
