@@ -38,10 +38,9 @@ class FlexRayBus(SlottedBus):
     frames delay those of the nodes; no figure of the network counts them.
     """
 
-    has_time = True
+    has_time = sync_in_frames = True
     # A bound needs the periods of all frames, which a bus does not know.
     worst_access_us = nan
-    sync_in_frames = True
 
     def __init__(
         self,
