@@ -38,6 +38,8 @@ class ClockErrors(NamedTuple):
 class KeepsClocks(Protocol):
     """A bus whose nodes synchronise their clocks. Without it clocks drift uncorrected."""
 
+    sync_in_frames: bool  # so a host that sends no frames gives no sync
+
     @property
     def sync_nodes(self) -> tuple[int, ...]:
         """Return the nodes that send sync frames.
@@ -53,7 +55,8 @@ class KeepsClocks(Protocol):
         drifts: tuple[ClockDrift, ...],
         outages: tuple[SyncOutage, ...],
         cycle: int,
+        key: tuple[int, int],
     ) -> ClockErrors:
-        """Return the clocks of so many nodes in a cycle where some oscillators drift, and where
-        the sync frames of some nodes are missing."""
+        """Return the clocks of so many nodes in a cycle where some oscillators drift, and sync
+        frames of some nodes are missing; `key` is that of a run's draws."""
         ...

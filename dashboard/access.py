@@ -8,7 +8,7 @@ import http
 import logging
 import secrets
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from http.cookies import CookieError, SimpleCookie
@@ -29,8 +29,14 @@ _NO_TOKEN = (
     "This page needs the token of its address: open the whole address that concord printed "
     "(http://.../?token=...).\n"
 )
-_STRANGE_HOST = "The host name of this request is not one of this page.\n"
-_STRANGE_ORIGIN = "Only the page itself may open this connection.\n"
+_STRANGE_HOST = (
+    "The host name of this request is not one of this page; if a proxy has it, start concord with "
+    "--public-name NAME.\n"
+)
+_STRANGE_ORIGIN = (
+    "Only the page itself may open this connection; behind a proxy, start concord with "
+    "--public-name NAME.\n"
+)
 _PAGE_HEADERS = {
     # No other page may show this one in a frame and have a person press its buttons unseen.
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -39,18 +45,24 @@ _PAGE_HEADERS = {
     "Referrer-Policy": "no-referrer",
 }
 _serve_lock = Lock()
+PUBLIC_NAMES: set[str] = set()
+"""Names under which proxies show the pages of this process, such as viz.example.org."""
 
 
 class PageAccess:
     """The rules of access to one page, which listens at `host`.
 
-    A request must name this machine as its host. It shows the token as a parameter of the address
-    or, from then on, as a cookie. A websocket handshake must come from the origin of the page.
+    A request must name this machine as its host, or a public name. It shows the token as a
+    parameter of the address or, from then on, as a cookie. A websocket handshake must come from the
+    origin of the page, or from one with a public name: a proxy may name this machine as the host.
     """
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, public_names: Iterable[str] | None = None) -> None:
         self.adopt(secrets.token_urlsafe(_TOKEN_BYTES))
-        self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+        public = PUBLIC_NAMES if public_names is None else public_names
+        self._public = {name.lower() for name in public}
+        own = {"localhost", host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        self._names = own | self._public
 
     def adopt(self, token: str) -> None:
         """Let browsers in that show this token, and no other."""
@@ -65,7 +77,8 @@ class PageAccess:
             return _STRANGE_HOST
         if "Upgrade" in request.headers:
             origins = request.headers.get_all("Origin")
-            if len(origins) != 1 or origins[0] not in (f"http://{hosts[0]}", f"https://{hosts[0]}"):
+            same = (f"http://{hosts[0]}", f"https://{hosts[0]}")
+            if len(origins) != 1 or not (origins[0] in same or self._is_public(origins[0])):
                 return _STRANGE_ORIGIN
         shown = (*self._in_address(request), *self._in_cookies(request))
         # Bytes: text must be ASCII to be compared in constant time.
@@ -121,6 +134,13 @@ class PageAccess:
         except ValueError:
             return False
         return name in self._names or _is_address(name)
+
+    def _is_public(self, origin: str) -> bool:
+        """Return whether an origin has a public name; its port is the proxy's."""
+        try:
+            return (urlsplit(origin).hostname or "") in self._public
+        except ValueError:
+            return False
 
     def _in_address(self, request: Request) -> list[str]:
         return parse_qs(urlsplit(request.path).query).get("token", [])

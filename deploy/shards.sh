@@ -1,5 +1,7 @@
 #!/bin/sh
-# A sweep in ten shards, as an array of jobs of SLURM or PBS (docs/clusters.md). All words of
+# A sweep in ten shards, as an array of jobs of SLURM or PBS (docs/clusters.md). SHARDS=40 in the
+# environment makes another number. Any of them is submitted again by its number: sbatch --array=7 or
+# --array=3,7. All words of
 # `concord sweep` but --shard, --workers and --out come behind the name of this file:
 #   sbatch deploy/shards.sh --scenario oscillator --runs 1000000 --keep moments
 #   qsub -v SWEEP="--scenario oscillator --runs 1000000 --keep moments" deploy/shards.sh
@@ -21,7 +23,8 @@ if [ $# -eq 0 ]; then
     set -- $SWEEP
 fi
 number=${SLURM_ARRAY_TASK_ID:-${PBS_ARRAY_INDEX:-}}
-shards=${SLURM_ARRAY_TASK_COUNT:-${SHARDS:-10}}
+# The number of shards is that of the sweep: a submission may have some of them only.
+shards=${SHARDS:-10}
 export OPENBLAS_NUM_THREADS=1
 exec concord sweep "$@" --shard "$number/$shards" --out "shard$number.nc" \
     --workers "${SLURM_CPUS_PER_TASK:-${NCPUS:-1}}"

@@ -11,7 +11,7 @@ import secrets
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,7 +33,8 @@ class PageProcess:
     themselves.
     """
 
-    def __init__(self, http_port: int) -> None:
+    def __init__(self, http_port: int, public_names: Sequence[str] = ()) -> None:
+        self._public = [word for name in public_names for word in ("--public-name", name)]
         self._http_port, self._token = http_port, secrets.token_urlsafe(24)
         self._process: subprocess.Popen[bytes] | None = None
         self._asks_again: queue.Queue[bool] = queue.Queue()
@@ -61,7 +62,7 @@ class PageProcess:
         client.close()
         # The page of the run before has stayed until now.
         self.close()
-        place = ("--folder", str(folder), "--http-port", str(self._http_port))
+        place = ("--folder", str(folder), "--http-port", str(self._http_port), *self._public)
         self._process = subprocess.Popen(
             fresh_command("concord.experiments", "dashboard", *place, "--with-launcher"),
             env=fresh_variables(),

@@ -64,6 +64,7 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
         scenario.rounds,
         bus.retransmissions if retransmits(bus) else 0,
         setup.neighbours,
+        ("missing", "crc") if isinstance(bus, KeepsClocks) and bus.sync_in_frames else (),
     )
 
 

@@ -9,6 +9,7 @@ from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled.frame import MAX_WINDOW_STEPS
 from concord.nodes.rules.labelled.record_codec import Calibrated
 from concord.scenarios.build import build_bus
+from concord.scenarios.bus_table.bus_definition import bus_notes
 from concord.scenarios.bus_table.bus_plan import contenders_and_room, senders_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.links import graph_notes
@@ -61,6 +62,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
         return ()
     return (
         *graph_notes(setup.scenario),
+        *bus_notes(setup.scenario),
         *_idle_weights(setup),
         *_idle_filter(setup),
         *definition_of(setup.scenario).warnings(setup.scenario),

@@ -129,7 +129,7 @@ def require_connected(adjacency: Adjacency) -> None:
         cannot = "cannot hear each other" if is_symmetric(adjacency) else "do not all hear all"
         raise ValueError(
             f"the graph is in {len(parts)} pieces that {cannot} ({named}{more}); "
-            "add links or raise the radio range"
+            "add links to the graph or its file, or raise the radio range of a geometric one"
         )
 
 

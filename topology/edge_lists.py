@@ -269,9 +269,6 @@ def _edge_list(rows: list[Row]) -> ReadGraph:
         labels.update(dict.fromkeys(ends))
         quality = _quality(fields[2], row.where) if len(fields) == 3 else 1.0
         if len(ends) == 2 and quality > 0:
-            if ends[0] == ends[1]:
-                raise ValueError(f"{row.where}: node {ends[0]} is linked to itself; remove the "
-                                 "line")  # fmt: skip
             edges.append((ends[0], ends[1], quality))
     found = from_edges(labels, edges, Kind.LIST)
     read = (columns.sender, columns.receiver, columns.number)

@@ -37,8 +37,6 @@ def read_networkx(file: Path) -> ReadGraph:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{file}: not {name} ({why}); export the graph again") from error
     ids = {node: str(node) for node in graph}
-    for node in networkx.nodes_with_selfloops(graph):
-        raise ValueError(f"{file}: node {ids[node]} is linked to itself; remove that edge")
     unused: list[str] = []
     edges = [
         (ids[one], ids[other], _number(data, f"{ids[one]} to {ids[other]}", file, unused))

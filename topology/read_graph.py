@@ -38,17 +38,27 @@ def from_edges(
 ) -> ReadGraph:
     """Return the graph of edges (sender, receiver, number) between nodes with different labels.
 
-    Whole numbers as labels are sorted, other labels keep their order.
+    Whole numbers as labels are sorted, other labels keep their order. An edge from a node to itself
+    is left out, and a note says so.
     """
     names = list(labels)
     if all(name.removeprefix("-").isdecimal() for name in names):
         names.sort(key=int)
     index = {name: number for number, name in enumerate(names)}
-    links = {(index[receiver], index[sender]): number for sender, receiver, number in edges}
+    edges = list(edges)
+    loops = [sender for sender, receiver, _ in edges if sender == receiver]
+    links = {
+        (index[receiver], index[sender]): number
+        for sender, receiver, number in edges
+        if sender != receiver
+    }
     ends = np.array(list(links), dtype=int).reshape(-1, 2)
     values = np.array(list(links.values()), dtype=float)
     given = csr_array((values, (ends[:, 0], ends[:, 1])), shape=(len(names), len(names)))
     notes = () if names == plain_names(len(names)) else (_numbering(names),)
+    if loops:
+        said = f"{len(loops)} of its edges lead from a node to itself, as at {loops[0]}"
+        notes = (*notes, f"{said}; they are left out, for a node always has its own belief")
     return ReadGraph(given, tuple(names), kind, notes=notes)
 
 

@@ -33,11 +33,11 @@ class ClusterFileFormat(NamedTuple):
     several and no name, raises ClusterError.
 
     Attributes:
-        cluster: returns the cluster.
+        read: returns the cluster, and a line for each value that the document leaves open.
         slots: returns the slot table of the cluster, of slots that nothing has checked.
     """
 
-    cluster: Callable[[bytes, str | None], Cluster]
+    read: Callable[[bytes, str | None], tuple[Cluster, tuple[str, ...]]]
     slots: Callable[[bytes, str | None], tuple[MessageSlot, ...]]
 
 
@@ -93,6 +93,15 @@ def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
     Raises:
         ValueError: the file cannot be read, or is no cluster, with its path.
     """
+    return cluster_with_notes(path, name)[0]
+
+
+def cluster_with_notes(path: Path, name: str | None = None) -> tuple[Cluster, tuple[str, ...]]:
+    """As `read_cluster_file`, with a line for each value that an exchange file leaves open.
+
+    Raises:
+        ValueError: the file cannot be read, or is no cluster, with its path.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -102,7 +111,8 @@ def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
     try:
         if path.suffix in entries("CLUSTER_FILES"):
             form: ClusterFileFormat = chosen("CLUSTER_FILES", path.suffix)
-            return form.cluster(data, name)
-        return cluster_from_toml(data.decode(errors="replace"))
+            cluster, notes = form.read(data, name)
+            return cluster, tuple(f"{path}: {note}" for note in notes)
+        return cluster_from_toml(data.decode(errors="replace")), ()
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

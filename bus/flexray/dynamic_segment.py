@@ -24,7 +24,8 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     apart at least; without it, once in each of its cycles. With `offset_us` they come at that time
     of the bus and exactly every `period_us` after it. `deadline_us` bounds the time from a request
     to the end of the frame; without it, nothing does. A node with dynamic frames of several urgency
-    classes sends those of one class in a cycle.
+    classes sends those of one class in a cycle. `latest_transmission_minislot` is the pLatestTx of
+    its controller, if not the cluster's.
     """
 
     frame_id: int
@@ -37,6 +38,7 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     offset_us: float | None = None
     deadline_us: float | None = None
     urgency_class: int = 0
+    latest_transmission_minislot: int | None = None
 
     def sends(self, cycle: int) -> bool:
         """Whether the frame may be sent in a cycle."""
@@ -47,11 +49,13 @@ class Request(NamedTuple):
     """A node's wish to send: `frame_id` is its place in the segment.
 
     More payload than one frame holds is sent as several frames, in slots `frame_id` and following.
+    `latest` is the pLatestTx of the node's controller; None for the cluster's.
     """
 
     node: int
     frame_id: int
     payload_bytes: int
+    latest: int | None = None
 
 
 class PlacedFrame(NamedTuple):
@@ -89,7 +93,7 @@ def walk(cluster: Cluster, requests: Iterable[Request], frame_by_frame: bool = F
         minislot += request.frame_id - slot
         frames = _frames(cluster, request, minislot)
         slot = request.frame_id + len(frames)
-        sent = list(takewhile(partial(_in_time, cluster), frames))
+        sent = list(takewhile(partial(_in_time, cluster, request.latest), frames))
         if len(sent) < len(frames):
             waiting.append(request)
             sent = sent if frame_by_frame else []
@@ -122,10 +126,10 @@ def _frames(cluster: Cluster, request: Request, minislot: int) -> list[PlacedFra
     return frames
 
 
-def _in_time(cluster: Cluster, frame: PlacedFrame) -> bool:
+def _in_time(cluster: Cluster, latest: int | None, frame: PlacedFrame) -> bool:
     """Begins by pLatestTx and ends in the segment."""
     return (
-        frame.minislot <= cluster.latest_transmission_minislot
+        frame.minislot <= (cluster.latest_transmission_minislot if latest is None else latest)
         and frame.minislot + frame.minislots - 1 <= cluster.minislots
     )
 
@@ -162,4 +166,7 @@ def requests_of(slots: Sequence[MessageSlot], cluster: Cluster) -> list[Request]
             known = longest.setdefault(slot.frame_id, slot)
             if slot.payload_bytes > known.payload_bytes:
                 longest[slot.frame_id] = slot
-    return [Request(slot.node, slot.frame_id, slot.payload_bytes) for slot in longest.values()]
+    return [
+        Request(slot.node, slot.frame_id, slot.payload_bytes, slot.latest_transmission_minislot)
+        for slot in longest.values()
+    ]

@@ -38,7 +38,7 @@ class FlexRayBus(SlottedBus):
     frames delay those of the nodes; no figure of the network counts them.
     """
 
-    has_time = True
+    has_time = sync_in_frames = True
     # A bound needs the periods of all frames, which a bus does not know.
     worst_access_us = nan
 
@@ -86,6 +86,7 @@ class FlexRayBus(SlottedBus):
         drifts: tuple[ClockDrift, ...],
         outages: tuple[SyncOutage, ...],
         cycle: int,
+        key: tuple[int, int],
     ) -> ClockErrors:
         """Return the clocks of so many nodes in a cycle where some oscillators drift, and where
         the sync frames of some nodes are missing.

@@ -79,7 +79,7 @@ def encode(frame: Frame, channel: Channel = "A") -> bytes:
         )
     protected = frame.sync << 19 | frame.startup << 18 | frame.frame_id << 7 | size >> 1
     indicators = frame.payload_preamble << 38 | (not frame.null) << 37
-    header = indicators | protected << 17 | _header_crc(protected) << 6 | frame.cycle_count
+    header = indicators | protected << 17 | header_crc(protected) << 6 | frame.cycle_count
     body = header.to_bytes(HEADER_BYTES, "big") + frame.payload
     return body + _FRAME_CRC[channel].calc(body).to_bytes(TRAILER_BYTES, "big")
 
@@ -139,11 +139,11 @@ def _read_header(data: bytes) -> tuple[int, int, tuple[bool, bool, bool, bool], 
         bool(protected >> 19),
         bool(protected >> 18 & 1),
     )
-    crc_ok = _header_crc(protected) == header >> 6 & 0x7FF
+    crc_ok = header_crc(protected) == header >> 6 & 0x7FF
     return protected >> 7 & 0x7FF, header & 0x3F, indicators, crc_ok
 
 
 @lru_cache(4096)
-def _header_crc(protected: int) -> int:
+def header_crc(protected: int) -> int:
     """CRC-11 over the 20 bits sync, startup, frame ID, payload length."""
     return _HEADER_CRC.calc((protected ^ _HEADER_CRC_START).to_bytes(3, "big"), 0)

@@ -126,12 +126,23 @@ def _problem(slot: MessageSlot, cluster: Cluster) -> str:
         return f"repetition is {slot.repetition}, but controllers repeat every 1, 2, 4, ..., 64"
     if not 0 <= slot.base_cycle < slot.repetition:
         return f"base_cycle is {slot.base_cycle}, but must be 0 to {slot.repetition - 1}"
-    if slot.node < 0:
-        return f"node is {slot.node}, but nodes are numbered from 0"
-    if slot.urgency_class < 0:
-        return f"urgency_class is {slot.urgency_class}, but classes are numbered from 0"
     if not set(slot.channel) <= set(cluster.channels):
         return f"channel is {slot.channel}, but cluster {cluster.name!r} has {cluster.channels}"
+    return _problem_of_request(slot, cluster)
+
+
+def _problem_of_request(slot: MessageSlot, cluster: Cluster) -> str:
+    """Return what is wrong with the node of an entry, or with the times of its requests."""
+    if slot.node < 0:
+        return f"node is {slot.node}, but nodes are numbered from 0"
+    latest = slot.latest_transmission_minislot
+    if latest is not None and not 0 <= latest <= cluster.minislots:
+        return (
+            f"latest_transmission_minislot (pLatestTx) is {latest}, but must be 0 to "
+            f"{cluster.minislots}"
+        )
+    if slot.urgency_class < 0:
+        return f"urgency_class is {slot.urgency_class}, but classes are numbered from 0"
     for field in ("period_us", "deadline_us"):
         value = getattr(slot, field)
         if value is not None and not 0 < value < inf:

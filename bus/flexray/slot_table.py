@@ -40,13 +40,15 @@ class SlotAssignment(msgspec.Struct, frozen=True):
 
 class SlotTable(msgspec.Struct, frozen=True):
     """A schedule's slots on a cluster. A share travels in frames with payloads of these bytes, one
-    in each of its sender's slots of a cycle; a contender has such slots in each of `classes`."""
+    in each of its sender's slots of a cycle; a contender has such slots in each of `classes`.
+    `latest` are nodes with the pLatestTx of their controllers, where that is not the cluster's."""
 
     assignments: tuple[SlotAssignment, ...]
     first_dynamic_id: int
     static_payloads: tuple[int, ...]
     dynamic_payloads: tuple[int, ...]
     classes: int = 1
+    latest: tuple[tuple[int, int], ...] = ()
 
     def static_slots(self, cycle: int) -> tuple[SlotAssignment, ...]:
         """Static slots in use in this cycle, in order."""
@@ -78,9 +80,9 @@ class SlotTable(msgspec.Struct, frozen=True):
         for slot in self.assignments:
             if slot.frame_id >= self.first_dynamic_id:
                 ids.setdefault(slot.node, []).append(slot.frame_id)
-        first = urgency_class * len(self.dynamic_payloads)
+        first, latest = urgency_class * len(self.dynamic_payloads), dict(self.latest)
         return {
-            node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads))
+            node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads), latest.get(node))
             for node, owned in ids.items()
         }
 
@@ -196,6 +198,7 @@ def check_reachable(request: Request, cluster: Cluster) -> None:
         raise ValueError(
             f"node {request.node} could never send in dynamic slot {request.frame_id}: "
             f"{request.payload_bytes} bytes from there do not begin by minislot "
-            f"{cluster.latest_transmission_minislot} (pLatestTx) or end by {cluster.minislots} of "
-            f"cluster {cluster.name!r}; use fewer contenders or another cluster"
+            f"{request.latest or cluster.latest_transmission_minislot} (pLatestTx) or end by "
+            f"{cluster.minislots} of cluster {cluster.name!r}; use fewer contenders or another "
+            "cluster"
         )

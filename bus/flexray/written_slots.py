@@ -83,6 +83,11 @@ def written_table(
         first,
         tuple(static_payloads),
         tuple(dynamic_payloads),
+        latest=tuple(
+            (slot.node, slot.latest_transmission_minislot)
+            for slot in dynamic
+            if slot.latest_transmission_minislot is not None
+        ),
     )
 
 
@@ -121,7 +126,7 @@ def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]
     for slot in table.assignments:
         if slot.frame_id >= table.first_dynamic_id:
             ids[slot.node].append(slot.frame_id)
-    frames = len(table.dynamic_payloads)
+    frames, latest = len(table.dynamic_payloads), dict(table.latest)
     places = {
         (node, frame_id): divmod(place, frames)
         for node, owned in ids.items()
@@ -138,6 +143,9 @@ def message_slots(table: SlotTable, cluster: Cluster) -> tuple[MessageSlot, ...]
             base_cycle=slot.base_cycle,
             repetition=slot.repetition,
             urgency_class=places.get((slot.node, slot.frame_id), (0, 0))[0],
+            latest_transmission_minislot=latest.get(slot.node)
+            if slot.frame_id >= table.first_dynamic_id
+            else None,
         )
         for slot in sorted(table.assignments, key=lambda one: (one.frame_id, one.base_cycle))
     )

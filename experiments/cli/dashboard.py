@@ -55,7 +55,7 @@ def dashboard(
 ) -> None:
     """Watch and control a network that runs, in the browser."""
     with user_errors():
-        check_place(options.host, options.http_port)
+        check_place(options.host, options.http_port, options.public_name)
         connect, run = network.connect, network.run
         if network.folder is not None:
             there = read_network(network.folder)
@@ -153,7 +153,7 @@ def replay(
     from concord.results.figures.intervals import ratio_t
 
     with user_errors():
-        check_place(options.host, options.http_port)
+        check_place(options.host, options.http_port, options.public_name)
         description, file = _recorded(recording)
         setup, found = description.setup, description.verdict
         verdict = "" if found is None else found.in_words()
@@ -182,7 +182,7 @@ def _explore(result: Path, options: PageOptions, beside: Path | None) -> None:
     with user_errors():
         if beside is not None:
             raise ValueError(f"{result}: a sweep is shown alone; leave {beside} out")
-        check_place(options.host, options.http_port)
+        check_place(options.host, options.http_port, options.public_name)
         from concord.dashboard.sweeps.sweep_page import SweepPage
         from concord.dashboard.theme import DARK, LIGHT
         from concord.experiments.explored_sweep import UP, RunPages, swept_of

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from tyro.conf import UseAppendAction
 
 from concord.disk import RunFailed
 from concord.experiments.cli.collect import FiguresForm, ResultOptions, end_by, finish
@@ -64,6 +65,8 @@ class RunOptions(ResultOptions):
     after the run until Ctrl-C."""
     http_port: int = 8080
     """Port of the dashboard; the next free one if it is taken, any free one for 0."""
+    public_name: UseAppendAction[tuple[str, ...]] = ()
+    """Name under which a proxy shows the page; repeat it for several."""
 
 
 def run(
@@ -99,7 +102,7 @@ def run(
         found = run_many(setup, output.runs, folder, description, output.covariances, shown)
         end_by(found.verdict)
         return
-    with closing(PageProcess(output.http_port)) as page:
+    with closing(PageProcess(output.http_port, output.public_name)) as page:
         while True:
             pace = _watched(setup, output, description.run, folder, page)
             with user_errors():
@@ -193,7 +196,7 @@ def _check(options: RunOptions) -> None:
             "watched as it runs; use --driver processes, or show the run with concord replay"
         )
     if options.dashboard:
-        check_place(LOOPBACK, options.http_port)
+        check_place(LOOPBACK, options.http_port, options.public_name)
     if options.driver == BATCHED and (options.capture != "used" or options.capture_nodes):
         option = "--capture-nodes" if options.capture_nodes else f"--capture {options.capture}"
         raise ValueError(

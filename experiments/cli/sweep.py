@@ -72,6 +72,8 @@ class SweepOptions:
     """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
     dask_tls: Path | None = None
     """Folder with ca.pem, cert.pem and key.pem, for a scheduler at tls://HOST:8786."""
+    dask_wait: float = 600.0
+    """Seconds to wait for the first workers of the scheduler."""
     json: Annotated[bool, FIRST] = False
     """Print one JSON object instead of a table."""
 
@@ -94,7 +96,7 @@ def sweep(
             output.keep,
         )
         shard = _shard(output, specification)
-        engine = engine_for(output.workers, output.dask, output.dask_tls)
+        engine = engine_for(output.workers, output.dask, output.dask_tls, output.dask_wait)
         workers = workers_here(output.workers, output.dask)
         if output.pieces is not None:
             make_folder(output.pieces, "--pieces")
@@ -185,7 +187,10 @@ def _shard(options: SweepOptions, specification: Specification) -> Shard:
         )
     number, _, shards = options.shard.partition("/")
     if not (number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
-        raise ValueError(f"--shard {options.shard}: must be NUMBER/SHARDS, such as 3/10")
+        raise ValueError(
+            f"--shard {options.shard}: must be NUMBER/SHARDS, such as 3/10, with NUMBER from 1 to "
+            "SHARDS (the variable SHARDS of deploy/shards.sh)"
+        )
     return Shard(int(number), int(shards))
 
 

@@ -69,7 +69,8 @@ def compare(
             raise ValueError(f"--seeds {seeds}: must be at least 1")
         weights = options.weights.split(",") if options.weights else [None]
         with progress("graphs", len(sources) * len(weights), as_json=json) as on_row:
-            rows = compared(sources, options, weights, seeds, on_row)
+            rows, notes = compared(sources, options, weights, seeds, on_row)
+    sys.stderr.writelines(f"{note}\n" for note in notes)
     if json:
         sys.stdout.write(msgspec.json.encode({"rows": rows}).decode() + "\n")
         return

@@ -119,7 +119,7 @@ class ResponseTimes:
     def _dynamic(self, slot: MessageSlot) -> _Dynamic:
         cluster = self._cluster
         minislots = cluster.dynamic_slot_minislots(slot.payload_bytes)
-        latest = min(cluster.latest_transmission_minislot, cluster.minislots - minislots + 1)
+        latest = last_minislot(slot, cluster)
         place = slot.frame_id - cluster.static_slots
         period_us = slot.period_us or slot.repetition * cluster.cycle_us
         return _Dynamic(slot, place, latest, minislots - 1, period_us, None)
@@ -202,6 +202,13 @@ class ResponseTimes:
         spread_us = (rival.latest - rival.place) * self._cluster.minislot_us
         span_us = cycles * self._cluster.cycle_us + spread_us + rival.delay_us
         return 1 + int(span_us / rival.period_us + 1e-9)
+
+
+def last_minislot(slot: MessageSlot, cluster: Cluster) -> int:
+    """Return the last minislot in which a frame may begin, so that it ends in the segment."""
+    own = slot.latest_transmission_minislot
+    latest = cluster.latest_transmission_minislot if own is None else own
+    return min(latest, cluster.minislots - cluster.dynamic_slot_minislots(slot.payload_bytes) + 1)
 
 
 def is_alternative(one: MessageSlot, other: MessageSlot) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import MessageSlot
-from concord.features.flexray_tools.response_times import is_alternative
+from concord.features.flexray_tools.response_times import is_alternative, last_minislot
 
 _LATE_CHANCE, _LATE_PERIODS = 0.3, 0.3
 
@@ -34,7 +34,7 @@ def worst_responses(
         seen = _Channel(cluster, [slots[i] for i in order], [requests[i] for i in order])
         for place, response_us in zip(order, seen.run(cycles), strict=True):
             worst[place] = max(worst[place], response_us)
-    return tuple(None if response_us < 0 else response_us for response_us in worst)
+    return tuple(None if response_us < 0 else float(response_us) for response_us in worst)
 
 
 def _requests(
@@ -93,6 +93,7 @@ class _Channel:
             for slot in slots
         ]
         self._sent: dict[int, int] = {}
+        self._last = [last_minislot(slot, cluster) for slot in slots]
         self._lengths = [cluster.dynamic_slot_minislots(slot.payload_bytes) for slot in slots]
 
     def run(self, cycles: int) -> list[float]:
@@ -125,8 +126,7 @@ class _Channel:
     def _dynamic_minislots(self, place: int, start_us: float, minislot: int) -> int:
         """Send what is pending in a dynamic slot, and return how long the slot is."""
         cluster, length = self._cluster, self._lengths[place]
-        last = min(cluster.latest_transmission_minislot, cluster.minislots - length + 1)
-        if minislot > last:
+        if minislot > self._last[place]:
             return 1
         slot_us = start_us + cluster.minislot_start_us(minislot)
         frame_us = cluster.frame_us(self._slots[place].payload_bytes)

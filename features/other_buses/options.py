@@ -22,6 +22,12 @@ class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):
         Option("Frames that a node may send after the first in one transmit opportunity.",
                at_least=0, at_most=255),
     ] = 0  # fmt: skip
+    burst_timer_bits: Annotated[
+        int, Option("Wait in a burst that is not full, in bit times.", at_least=0, at_most=255)
+    ] = 128
+    without_beacons: Annotated[
+        Literal["csma-cd", "silence"], Option("What nodes do while node 0, which beacons, is out.")
+    ] = "csma-cd"
 
 
 class CanFd(TimedBus, frozen=True, kw_only=True, tag="can-fd"):

@@ -20,8 +20,8 @@ from concord.nodes.vector_codec import BeliefCodec
 EVERYBODY = (1 << 16) + 1
 
 
-Clocks = Callable[[tuple[ClockDrift, ...], tuple[SyncOutage, ...], int], ClockErrors]
-"""(drifts, outages, cycle) -> the clocks of all nodes."""
+Clocks = Callable[..., ClockErrors]
+"""(drifts, outages, cycle, key of the draws) -> the clocks of all nodes."""
 
 # A node synchronises its clock by any one sync frame of another node.
 _ENOUGH_SYNC_NODES = 2
@@ -40,6 +40,7 @@ class Equipment(NamedTuple):
         sync_nodes: of such a bus (`concord.bus.clocks.KeepsClocks`). rounds: cycles of a step.
         retransmissions: how often the bus sends a frame again after an error.
         neighbours: the nodes that each node hears.
+        sync_faults: faults that, at probability 1, leave a node without sync frames.
     """
 
     channels: str = "A"
@@ -53,6 +54,7 @@ class Equipment(NamedTuple):
     rounds: int = 1
     retransmissions: int = 0
     neighbours: Sequence[Sequence[int]] = ()
+    sync_faults: tuple[str, ...] = ()
 
 
 PLAIN = Equipment()
@@ -110,7 +112,7 @@ class Faults(NamedTuple):
         ]
         if not drifts and not self.outages:
             return None
-        return self.equipment.clocks(tuple(sorted(drifts)), self.outages, cycle)
+        return self.equipment.clocks(tuple(sorted(drifts)), self.outages, cycle, self.key)
 
     def _outages(self, standing: Standing) -> tuple[SyncOutage, ...]:
         """Return the outages of sync frames, none where they disturb no clock.
@@ -129,7 +131,7 @@ class Faults(NamedTuple):
                 end_step = fault.first_step + int(fault.numbers[0])
                 end = begins + end_step * self.equipment.rounds
                 found.append(SyncOutage(fault.nodes[0], fault.first_cycle, end))
-            elif fault.kind in ("missing", "crc") and fault.numbers[0] == 1:
+            elif fault.kind in self.equipment.sync_faults and fault.numbers[0] == 1:
                 found.append(SyncOutage(fault.nodes[0], fault.first_cycle))
         struck = tuple(sorted({one for one in found if one.node in sync}, key=_by_begin))
         sound = {*sync}.difference(one.node for one in struck)

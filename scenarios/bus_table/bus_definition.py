@@ -39,10 +39,12 @@ class BusDefinition(NamedTuple):
     Attributes:
         plan: (its options, what is asked of it) -> the bus; raises ValueError if it cannot be.
         frame_format: of its options, how its frames carry shares.
+        notes: of a scenario on it, sentences that a user must know of before a run.
     """
 
     plan: Callable[[Any, BusRequest], Bus]
     frame_format: Callable[[Any], FrameFormat]
+    notes: Callable[[Scenario], tuple[str, ...]] = lambda _: ()
 
 
 def bus_definition(chosen: SharedBus) -> BusDefinition:
@@ -57,6 +59,12 @@ def frame_format(scenario: Scenario) -> FrameFormat:
     if isinstance(bus, UserBus):
         return user_frame_format(bus)
     return bus_definition(bus).frame_format(bus)
+
+
+def bus_notes(scenario: Scenario) -> tuple[str, ...]:
+    """Return sentences about a scenario's bus that a user must know of."""
+    own = isinstance(scenario.bus, UserBus)
+    return () if own else bus_definition(scenario.bus).notes(scenario)
 
 
 def _ideal(_: SharedBus, asked: BusRequest) -> Bus:

@@ -1,5 +1,7 @@
 """FlexRay as the bus of a scenario: its cluster, its channels, and written slot tables."""
 
+from pathlib import Path
+
 import msgspec
 
 from concord.bus.bus import Bus, TooLong
@@ -12,6 +14,7 @@ from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.schedule import Schedule
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
 from concord.scenarios.bus_table.clusters import FITTED, REDUNDANT, named_cluster
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.schedules import WrittenSchedule, arbiter_of
 
@@ -84,4 +87,13 @@ def _fitted(schedule: Schedule, share_bytes: int, classes: int, plan: ChannelPla
         ) from None
 
 
-FLEXRAY = BusDefinition(_flexray, lambda _: SHARE_FRAMES)
+def _notes(scenario: Scenario) -> tuple[str, ...]:
+    chosen = scenario.bus
+    if not isinstance(chosen, FlexRay) or "." not in chosen.cluster:
+        return ()
+    from concord.bus.flexray.cluster_files import cluster_with_notes
+
+    return cluster_with_notes(Path(chosen.cluster))[1]
+
+
+FLEXRAY = BusDefinition(_flexray, lambda _: SHARE_FRAMES, _notes)

@@ -2,9 +2,11 @@
 
 import gc
 import logging
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 from concord._version import __version__
@@ -12,16 +14,17 @@ from concord.studies.sweep.workers import Engine, WorkerLost
 
 CONNECT_TIMEOUT_S = 10
 # Workers that restart are away for some seconds.
-_WITHOUT_WORKERS_S, _LOOK_EVERY_S = 60.0, 5.0
+_WITHOUT_WORKERS_S, _LOOK_EVERY_S, _WAIT_S = 60.0, 5.0, 0.5
 TLS_FILES = {"tls_ca_file": "ca.pem", "tls_client_cert": "cert.pem", "tls_client_key": "key.pem"}
 
 
-def connect(address: str, tls: Path | None = None) -> Engine:
+def connect(address: str, tls: Path | None = None, wait_s: float = 0.0) -> Engine:
     """Return the engine of the scheduler at `address`, such as tcp://10.0.0.1:8786.
 
     Args:
         address: of the scheduler; tls://10.0.0.1:8786 where it encrypts.
         tls: folder with the `TLS_FILES` of this client.
+        wait_s: how long to wait for the first workers.
 
     Raises:
         ValueError: the extra is not installed, nobody answers, there are no workers, or they have
@@ -60,8 +63,9 @@ def connect(address: str, tls: Path | None = None) -> Engine:
         gc.collect()
         raise ValueError(f"--dask {address}: {refusal}")
     try:
+        _wait_for_workers(client, address, wait_s)
         _check_workers(client, address)
-    except ValueError:
+    except BaseException:
         client.close()
         raise
     return partial(_over, client)
@@ -84,12 +88,28 @@ def _tls_files(address: str, tls: Path | None) -> dict[str, str]:
     return {option: str(tls / name) for option, name in TLS_FILES.items()}
 
 
+def _wait_for_workers(client: Any, address: str, wait_s: float) -> None:
+    """Wait until the scheduler has a worker; a line says so.
+
+    Raises:
+        ValueError: none has come in this time.
+    """
+    end_s, said = monotonic() + wait_s, False
+    while not client.scheduler_info()["workers"]:
+        if monotonic() >= end_s:
+            raise ValueError(
+                f"--dask {address}: it has no workers after {wait_s:g} s; start some: `dask worker "
+                f"{address}`, or wait longer for a queue: --dask-wait SECONDS"
+            )
+        if not said:
+            sys.stderr.write(
+                f"waiting for workers of {address}, for {wait_s:g} s at most (--dask-wait)\n"
+            )
+            said = True
+        sleep(min(_WAIT_S, wait_s))
+
+
 def _check_workers(client: Any, address: str) -> None:
-    workers = list(client.scheduler_info()["workers"])
-    if not workers:
-        raise ValueError(
-            f"--dask {address}: it has no workers; start some: `dask worker {address}`"
-        )
     try:
         versions = client.run(_version)
     except Exception as error:

@@ -22,7 +22,9 @@ def workers_here(workers: int | None, dask: str | None = None) -> int:
     return 1 if dask is not None else workers or available or 1
 
 
-def engine_for(workers: int | None, dask: str | None, dask_tls: Path | None = None) -> Engine:
+def engine_for(
+    workers: int | None, dask: str | None, dask_tls: Path | None = None, dask_wait_s: float = 0.0
+) -> Engine:
     """Return the engine of so many processes here, or of the Dask scheduler at an address.
 
     Raises:
@@ -33,7 +35,7 @@ def engine_for(workers: int | None, dask: str | None, dask_tls: Path | None = No
             raise ValueError(
                 "--workers and --dask: Dask has its own workers; leave one of them out"
             )
-        return connect(dask, dask_tls)
+        return connect(dask, dask_tls, dask_wait_s)
     if dask_tls is not None:
         raise ValueError(f"--dask-tls {dask_tls}: is for --dask tls://HOST:8786; give both")
     return partial(in_processes, workers_here(workers))

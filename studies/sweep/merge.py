@@ -26,6 +26,11 @@ def merge_shards(folders: Sequence[Path], out: Path) -> "xarray.Dataset":
     for folder, other in zip(folders[1:], others, strict=True):
         if changed := difference(first.specification, other.specification):
             raise ValueError(f"{folder} belongs to another sweep than {folders[0]}: {changed}")
+        if other.shards != first.shards:
+            raise ValueError(
+                f"{folder} is one of {other.shards} shards, and {folders[0]} one of "
+                f"{first.shards}; merge those of one number"
+            )
     for folder, begun in zip(folders, (first, *others), strict=True):
         if begun.program != program():
             raise ValueError(

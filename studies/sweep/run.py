@@ -106,7 +106,7 @@ def begin(
     every = pieces_of(specification, cells)[shard.number - 1 :: shard.shards]
     if out is None:
         return Begin(specification, None, None, cells, parts, 0, every, shard)
-    folder = open_store(out, specification) if pieces is None else pieces
+    folder = open_store(out, specification, shard.shards) if pieces is None else pieces
     missing = take_found(specification, every, [folder], parts)
     found = len(every) - len(missing)
     return Begin(specification, out, folder, cells, parts, found, missing, shard)

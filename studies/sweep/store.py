@@ -27,6 +27,7 @@ class Begun(msgspec.Struct, frozen=True):
     specification: Specification
     versions: dict[str, str]
     commit: str | None
+    shards: int | None = None
 
     @property
     def program(self) -> Origin:
@@ -39,17 +40,18 @@ def folder_of(result: Path) -> Path:
     return result.with_name(f"{result.name}.pieces")
 
 
-def open_store(result: Path, specification: Specification) -> Path:
-    """Return the folder of the pieces of a result; made, or found with some of them.
+def open_store(result: Path, specification: Specification, shards: int = 1) -> Path:
+    """Return the folder of the pieces of a result, or of one of its shards; made, or found with
+    some of them.
 
     Raises:
-        ValueError: it cannot be made, or it is of another sweep or another version.
+        ValueError: it cannot be made, or it is of another sweep, version or number of shards.
     """
     folder, here = folder_of(result), program()
     make_folder(folder, "--out", result)
     remember(specification)
     if not (folder / SPECIFICATION).exists():
-        now = Begun(specification, here.versions, here.commit)
+        now = Begun(specification, here.versions, here.commit, shards)
         write_json(folder / SPECIFICATION, now)
         return folder
     before = read_begun(folder)
@@ -58,6 +60,11 @@ def open_store(result: Path, specification: Specification) -> Path:
         raise ValueError(
             f"{folder}: begun by another version of the program (commit {before.commit}); pieces "
             f"of two versions cannot stand side by side; remove it to begin anew"
+        )
+    if before.shards not in (None, shards):
+        raise ValueError(
+            f"{folder}: begun with {before.shards} shards, and now {shards} are asked for; keep "
+            f"--shard N/{before.shards} (SHARDS={before.shards} of deploy/shards.sh), or remove it"
         )
     return folder
 

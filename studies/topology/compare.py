@@ -52,8 +52,8 @@ def compared(
     by_weights: Sequence[str | None],
     seeds: int,
     on_row: Callable[[int], None],
-) -> list[ComparisonRow]:
-    """A row for each graph and each weights.
+) -> tuple[list[ComparisonRow], list[str]]:
+    """A row for each graph and each weights, and how files were read where a user must know.
 
     Raises:
         ValueError: anything that cannot be, the graph and weights named.
@@ -68,7 +68,8 @@ def compared(
     for family in families:
         rows.append(_row(family))
         on_row(len(rows))
-    return rows
+    told = [note for family in families for one in family for note in one.network.notes]
+    return rows, list(dict.fromkeys(told))
 
 
 def _family(source: str, options: SubjectOptions, seeds: int) -> list[Subject]:

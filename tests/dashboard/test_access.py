@@ -1,15 +1,21 @@
 """Access to the page as plain clients try it: tokens, origins, host names, and connections that
 end before they ask."""
 
+import shutil
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from importlib.metadata import version
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
+from websockets.http11 import Request
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
@@ -20,6 +26,7 @@ from concord.dashboard.serve import open_recording
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
 from tests.dashboard.runs import setup_of
+from tests.experiments.command_support import concord, refused
 
 STAGE = set_stage(setup_of("oscillator", nodes=3, steps=4))
 
@@ -142,6 +149,96 @@ def test_a_page_that_was_opened_with_its_token_needs_its_cookie_alone(page: Dash
 )
 def test_a_foreign_name_of_this_machine_is_refused(page: Dashboard, host: str, status: int):
     assert get(page, f"/?{urlsplit(page.url).query}", Host=host)[0] == status
+
+
+def asked(**headers: str) -> Request:
+    return Request(f"/?token={BEHIND.token}", Headers(list(headers.items())))
+
+
+BEHIND = PageAccess("127.0.0.1", ["viz.example.org"])
+
+
+def test_a_proxy_with_a_public_name_is_let_in():
+    here = {"Host": "127.0.0.1:8080", "Upgrade": "websocket"}
+    assert BEHIND.refusal(asked(Host="viz.example.org")) is None
+    assert BEHIND.refusal(asked(**here, Origin="https://viz.example.org")) is None
+    assert BEHIND.refusal(asked(**here, Origin="https://VIZ.example.org:8443")) is None
+    for origin in (
+        "https://evil.example.org",
+        "https://viz.example.org.evil.org",
+        "null",
+        "http://[",
+    ):
+        text = BEHIND.refusal(asked(**here, Origin=origin))
+        assert text is not None and "--public-name" in text
+    other = PageAccess("127.0.0.1")
+    plain = Request(f"/?token={other.token}", Headers([("Host", "viz.example.org")]))
+    assert "--public-name NAME" in (other.refusal(plain) or "")
+    assert other.refusal(Request(plain.path, Headers([("Host", socket.getfqdn())]))) is None
+
+
+def test_a_public_name_is_a_name_alone(capsys):
+    said = concord(capsys, "replay", "nowhere", "--public-name", "https://viz.example.org")
+    assert "--public-name https://viz.example.org: must be a host name" in refused(said)
+
+
+NGINX = """
+daemon off; pid {folder}/pid; error_log stderr; worker_processes 1;
+events {{ worker_connections 64; }}
+http {{
+  access_log off; client_body_temp_path {folder}; proxy_temp_path {folder};
+  fastcgi_temp_path {folder}; uwsgi_temp_path {folder}; scgi_temp_path {folder};
+  server {{
+    listen 127.0.0.1:{port};
+    location / {{ proxy_pass http://{page}/; {upgrade} }}
+    location /user/ada/proxy/8080/ {{ proxy_pass http://{page}/; {upgrade} }}
+  }}
+}}
+"""
+UPGRADE = (
+    "proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; "
+    "proxy_set_header Connection upgrade; proxy_read_timeout 1h;"
+)
+
+
+@pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
+@pytest.mark.parametrize("path", ["/", "/user/ada/proxy/8080/"])
+def test_nginx_passes_the_page_on(path: str, tmp_path: Path, page: Dashboard, monkeypatch):
+    monkeypatch.setattr(page.access, "_public", {"viz.example.org"})
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    config = tmp_path / "nginx.conf"
+    config.write_text(NGINX.format(folder=tmp_path, port=port, page=place(page), upgrade=UPGRADE))
+    proxy = subprocess.Popen([shutil.which("nginx") or "", "-c", str(config), "-p", str(tmp_path)])
+    try:
+        token = urlsplit(page.url).query
+        while True:
+            try:
+                asked = HTTPConnection("127.0.0.1", port, timeout=20)
+                asked.request("GET", f"{path}?{token}", headers={"Host": "viz.example.org"})
+                break
+            except ConnectionRefusedError:
+                assert proxy.poll() is None
+                time.sleep(0.05)
+        answer = asked.getresponse()
+        assert answer.status == 200 and b"<html" in answer.read()
+        asked.close()
+        for origin, status in (("https://viz.example.org", 101), ("https://evil.example", 403)):
+            try:
+                with connect(
+                    f"ws://127.0.0.1:{port}{path}?{token}",
+                    origin=Origin(origin),
+                    subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
+                    max_size=None,
+                ) as through:
+                    assert len(through.recv(timeout=20)) > 0
+                assert status == 101
+            except InvalidStatus as refusal:
+                assert refusal.response.status_code == status
+    finally:
+        proxy.terminate()
+        proxy.wait(20)
 
 
 def test_the_files_of_the_page_are_refused_without_a_token(page: Dashboard):

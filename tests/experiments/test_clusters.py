@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,9 +17,11 @@ import pytest
 
 from concord.experiments.__main__ import main
 from concord.studies.sweep.dask_workers import connect
+from concord.studies.sweep.merge import merge_shards
 from concord.studies.sweep.results import read_result
-from concord.studies.sweep.run import begin, finish
+from concord.studies.sweep.run import Shard, begin, finish
 from concord.studies.sweep.specification import specify
+from concord.studies.sweep.store import folder_of
 from concord.studies.sweep.workers import WorkerLost
 from tests.experiments.units import DEPLOY
 from tests.processes import PATIENCE_S, family
@@ -72,13 +75,54 @@ def test_an_array_of_jobs_is_the_undivided_sweep(tmp_path: Path):
     assert numbers != sorted(numbers)
     subprocess.run(
         ["sbatch", DEPLOY / "shards.sh", *WORDS],
-        env={**environment, "NUMBERS": " ".join(map(str, numbers))},
+        env={**environment, "NUMBERS": " ".join(map(str, numbers)), "SHARDS": "3"},
         cwd=tmp_path, check=True, capture_output=True,
     )  # fmt: skip
     folders = [str(tmp_path / f"shard{number}.nc.pieces") for number in numbers]
     main(["merge", *folders, "-o", str(tmp_path / "merged.nc")])
     main(["sweep", *WORDS, "--workers", "1", "-o", str(tmp_path / "whole.nc")])
     assert read_result(tmp_path / "merged.nc").identical(read_result(tmp_path / "whole.nc"))
+
+
+def test_one_of_ten_shards_is_submitted_again_by_its_number(tmp_path: Path):
+    environment = stand_in(tmp_path, concord='#!/bin/sh\necho "$@"\n')
+    for number in (7, 3):
+        again = {"SLURM_ARRAY_TASK_ID": str(number), "SLURM_ARRAY_TASK_COUNT": "1"}
+        said = subprocess.run(
+            ["sh", DEPLOY / "shards.sh", *WORDS], env={**environment, **again},
+            cwd=tmp_path, check=True, capture_output=True, text=True,
+        ).stdout  # fmt: skip
+        assert f"--shard {number}/10 --out shard{number}.nc" in said
+
+
+def test_pieces_of_another_number_of_shards_are_refused(tmp_path: Path):
+    specification, out = specify(ASKED, runs=2), tmp_path / "shard2.nc"
+    begin(specification, out, shard=Shard(2, 3))
+    assert begin(specification, out, shard=Shard(2, 3)).folder == folder_of(out)
+    with pytest.raises(ValueError, match="begun with 3 shards, and now 1 are asked for"):
+        begin(specification, out)
+    begin(specification, tmp_path / "other.nc", shard=Shard(1, 2))
+    with pytest.raises(ValueError, match=r"one of 2 shards, and .* one of 3"):
+        merge_shards([folder_of(out), folder_of(tmp_path / "other.nc")], tmp_path / "all.nc")
+
+
+@pytest.mark.slow
+def test_a_sweep_waits_for_the_first_worker_of_dask(tmp_path: Path, capsys):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, dashboard_address=None, protocol="tcp://", host="127.0.0.1"
+    ) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(ValueError, match=r"no workers after 0\.2 s"):
+            connect(address, wait_s=0.2)
+        late = threading.Timer(2.0, lambda: cluster.scale(1))
+        late.start()
+        found = finish(
+            begin(specify(ASKED, runs=2), None), connect(address, wait_s=60), lambda _: None
+        )
+        late.join()
+    assert found.computed_pieces == 4
+    assert capsys.readouterr().err.count("waiting for workers") == 2
 
 
 def test_the_job_of_kubernetes_is_valid_and_computes_shards(

@@ -100,7 +100,6 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("loop.edges", "0 1\n1 1\n", r"loop\.edges:2: node 1 is linked to itself; remove"),
         ("wide.edges", "0 1\n0 1 2 3\n", r"wide\.edges:2: 4 columns; give two"),
         ("cut.edges", "0 1 0.5\n2\n0 2\n", r"cut\.edges:3: 2 columns, but 3 .*give every link"),
         ("mixed.edges", "0 1\n0 2 0.5\n", r"mixed\.edges:2: 3 columns, but 2 on"),
@@ -122,10 +121,8 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("one_way.csv", "0,1\n0,0\n", r"one_way\.csv: 0 hears 1, but 1 does not hear 0; give"),
         ("broken.graphml", "<graphml>", "not GraphML .*export"),
         ("not.graphml", "0 1\n", "not GraphML"),
-        ("loop.graphml", GRAPHML.format("undirected", TWO.format("a")), "node a is linked to its"),
         ("graph.dot", "graph {}", r"unknown kind of graph file '\.dot'; export .* \.graphml"),
         ("broken.gml", "graph [ node [ id 0 ] edge [ source 0 target 1 ] ]", "not GML .*target 1"),
-        ("loop.gml", "graph [ node [ id 4 ] edge [ source 4 target 4 ] ]", "node 4 is linked to"),
         ("none.net", "*Edges\n1 2\n", r"not Pajek \(it has no line '\*Vertices N'\)"),
         ("twice.net", '*Vertices 2\n1 "a"\n2 "a"\n', "Vertices says 2, and 1 names"),
         ("lists.net", "*Vertices 3\n*Edgeslist\n1 2 3\n", r"\*edgeslist is not read; save links"),

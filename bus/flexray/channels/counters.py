@@ -34,6 +34,7 @@ class SlotCounters:
             if slot.frame_id >= table.first_dynamic_id
         }
         self._channels = sorted(set(self._channel_of.values()))
+        self._latest = dict(table.latest)
 
     def all_sent(self, requests: Sequence[Request]) -> bool:
         """Return whether these requests of nodes are sent while every other station sends."""
@@ -59,10 +60,14 @@ class SlotCounters:
 
     def most_fit(self, requests: Sequence[Request], most: int) -> int:
         """Return how many requests, at most `most`, fit whichever they are; the last IDs of each
-        counter are the worst, as every slot before them counts by empty."""
+        counter are the worst, as every slot before them counts by empty. Where controllers differ
+        in pLatestTx, the last ID of any choice may be the one that is too late."""
         counted = [own for _, own, _ in self._counted(requests, ())]
         for count in range(most, 0, -1):
-            if all(self.all_sent(own[-count:]) for own in counted):
+            runs = [own[-count:] for own in counted]
+            if self._latest:
+                runs += [own[max(0, k - count) : k] for own in counted for k in range(len(own))]
+            if all(map(self.all_sent, runs)):
                 return count
         return 0
 
@@ -93,5 +98,9 @@ class SlotCounters:
     ) -> Iterator[tuple[str, list[Request], list[MessageSlot]]]:
         """Yield the channel of each counter, the nodes' requests and the other frames on it."""
         for channel in self._channels:
-            own = [one for one in requests if self._channel_of[one.node] == channel]
+            own = [
+                one._replace(latest=self._latest.get(one.node))
+                for one in requests
+                if self._channel_of[one.node] == channel
+            ]
             yield channel, own, [one for one in others if set(one.channel) & set(channel)]

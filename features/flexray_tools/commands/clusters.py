@@ -10,7 +10,7 @@ import tyro
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import file_endings, read_cluster_file
+from concord.bus.flexray.cluster_files import cluster_with_notes, file_endings
 from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments
@@ -80,7 +80,8 @@ def validate(
 
 
 def read_cluster(source: str, name: str | None = None) -> Cluster:
-    """Return a preset by its name, or the cluster in a file; `name` chooses one of several.
+    """Return a preset by its name, or the cluster in a file; `name` chooses one of several. The
+    standard error gets a line for each value that the file leaves open.
 
     Raises:
         ValueError: there is no such preset, or the file is unreadable, or breaks a rule of FlexRay.
@@ -93,7 +94,9 @@ def read_cluster(source: str, name: str | None = None) -> Cluster:
             f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml, "
             "*.xml (FIBEX) or *.arxml (AUTOSAR)"
         )
-    return read_cluster_file(path, name)
+    cluster, notes = cluster_with_notes(path, name)
+    sys.stderr.writelines(f"concord: {note}\n" for note in notes)
+    return cluster
 
 
 def derived(cluster: Cluster) -> Derived:

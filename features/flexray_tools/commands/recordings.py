@@ -1,14 +1,12 @@
-"""`concord flexray decode` and `fit`: the frames of a recorded waveform, and their cluster."""
+"""`concord flexray decode` and `fit`: the frames of a recording, and their cluster."""
 
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import tyro
-from rich.table import Table
 
 from concord.bus.bus import Captured
 from concord.bus.flexray.cluster import BIT_RATES_MBPS
@@ -17,7 +15,16 @@ from concord.bus.flexray.slot_file import slots_to_toml
 from concord.bus.pcap import CapturedSymbol, write_pcap
 from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
-from concord.features.flexray_tools.commands.clusters import ranges, write_new
+from concord.features.flexray_tools.commands.clusters import write_new
+from concord.features.flexray_tools.commands.fit_report import fit_lines, multiplex_table
+from concord.features.flexray_tools.commands.frame_logs import (
+    Columns,
+    print_decoded,
+    print_fit,
+    write_fit,
+)
+from concord.features.flexray_tools.frame_logs.log_files import FrameLog, Stamps, is_frame_log
+from concord.features.flexray_tools.frame_logs.log_fit import fit_log
 from concord.features.flexray_tools.recordings.csv_recording import Unit
 from concord.features.flexray_tools.recordings.decoder import (
     DecodedFrame,
@@ -25,9 +32,7 @@ from concord.features.flexray_tools.recordings.decoder import (
     decode_waveform,
     reencodes,
 )
-from concord.features.flexray_tools.recordings.fit import Fit
 from concord.features.flexray_tools.recordings.fit import fit as fit_cluster
-from concord.features.flexray_tools.recordings.multiplexing import Multiplex
 from concord.features.flexray_tools.recordings.recorded_cluster import (
     recorded_cluster,
     recorded_slots,
@@ -93,21 +98,29 @@ def decode(
     bit_rate: BitRate = None,
     column: str | None = None,
     unit: Unit | None = None,
+    threshold: float | None = None,
+    columns: Columns = None,
     pcap: Path | None = None,
     json: bool = False,
 ) -> None:
-    """List the frames of a recorded waveform and check every checksum.
+    """List the frames of a recorded waveform, or of a log of frames, and check every checksum.
 
     Args:
-        waveform: CSV with a line for every change of level (time_ns,level), or VCD.
+        waveform: CSV with a line for every change of level (time_ns,level), or VCD. Or a log of
+            frames: pcap or pcapng (link type 210 or 227), BLF, or CSV with a line for each frame.
         bit_rate: Bit rate in Mbit/s: 10, 5 or 2.5. Otherwise that of the most correct frames.
         column: Which signal of a file that has several.
         unit: Unit of the times of a CSV file. Otherwise its heading decides.
+        threshold: Volts from which on samples of an analogue recording are high.
+        columns: Columns file of a CSV log of frames.
         pcap: Capture file to write for Wireshark.
         json: Print one JSON object.
     """
     with user_errors():
-        decoding, unreadable = read_recorded(waveform, bit_rate, column, unit)
+        if is_frame_log(waveform, columns):
+            print_decoded(FrameLog(waveform, columns), pcap, json)
+            return
+        decoding, unreadable = read_recorded(waveform, bit_rate, column, unit, threshold)
         if pcap is not None:
             _write_capture(pcap, decoding)
     figures, rows = summarise(decoding, unreadable), frame_rows(decoding)
@@ -130,25 +143,39 @@ def fit(
     bit_rate: BitRate = None,
     column: str | None = None,
     unit: Unit | None = None,
+    threshold: float | None = None,
+    columns: Columns = None,
+    stamps: Stamps = "start",
+    static_slots: int | None = None,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     slots: Path | None = None,
     cycle_us: float | None = None,
     json: bool = False,
 ) -> None:
-    """Infer the cluster behind a recorded waveform: slots, minislots, multiplexing, sync nodes.
+    """Infer the cluster behind a recording: slots, minislots, multiplexing, sync nodes.
 
     Args:
-        waveform: CSV with a line for every change of level (time_ns,level), or VCD.
+        waveform: CSV with a line for every change of level (time_ns,level), or VCD. Or a log of
+            frames: pcap or pcapng (link type 210), BLF, or CSV with a line for each frame.
         bit_rate: Bit rate in Mbit/s: 10, 5 or 2.5. Otherwise that of the most correct frames.
         column: Which signal of a file that has several.
         unit: Unit of the times of a CSV file. Otherwise its heading decides.
+        threshold: Volts from which on samples of an analogue recording are high.
+        columns: Columns file of a CSV log of frames.
+        stamps: Whether a log has the times of the starts or the ends of frames.
+        static_slots: Static slots of the bus of a log. Otherwise lengths and times tell them.
         out: Cluster file (.toml) to write. It says which parameters were chosen.
         slots: Slot table (.toml) to write, for `concord flexray wcrt`.
         cycle_us: Length of a cycle for the cluster file. Otherwise the recording tells it.
         json: Print one JSON object.
     """
     with user_errors():
-        decoding, _ = read_recorded(waveform, bit_rate, column, unit)
+        if is_frame_log(waveform, columns):
+            found = fit_log(FrameLog(waveform, columns), bit_rate, static_slots, stamps)
+            write_fit(found, waveform.stem, out, slots, cycle_us)
+            print_fit(found, out, json)
+            return
+        decoding, _ = read_recorded(waveform, bit_rate, column, unit, threshold)
         fitted = fit_cluster(decoding)
         if out is not None:
             made = recorded_cluster(decoding, fitted, waveform.stem, cycle_us)
@@ -164,9 +191,9 @@ def fit(
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    for line in _fit_lines(fitted):
+    for line in fit_lines(fitted):
         sys.stdout.write(f"{line}\n")
-    plain_console().print(_multiplex_table(fitted.multiplexing))
+    plain_console().print(multiplex_table(fitted.multiplexing))
     if out is not None:
         sys.stdout.write(f"the cluster is in {out}; it marks the parameters that were chosen\n")
 
@@ -176,6 +203,7 @@ def read_recorded(
     bit_rate_mbps: float | None = None,
     column: str | None = None,
     unit: Unit | None = None,
+    threshold: float | None = None,
 ) -> tuple[Decoding, int]:
     """Return the frames of a waveform file, and how many of its lines said nothing.
 
@@ -185,7 +213,7 @@ def read_recorded(
     if bit_rate_mbps is not None and bit_rate_mbps not in BIT_RATES_MBPS:
         raise ValueError(f"--bit-rate {bit_rate_mbps:g}: FlexRay has 10, 5 and 2.5 Mbit/s")
     try:
-        recording = read_recording(path, unit)
+        recording = read_recording(path, unit, threshold)
         return decode_waveform(recording.signal(column), bit_rate_mbps), recording.unreadable
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -285,53 +313,3 @@ def _decode_lines(figures: DecodeFigures) -> list[str]:
     if figures.inverted:
         text.append("the recording is inverted (idle is low); it was decoded upside down")
     return text
-
-
-def _fit_lines(fitted: Fit) -> list[str]:
-    counts = fitted.cycles
-    ticks = fitted.macrotick
-    jitter = fitted.start_jitter_us
-    slot = "" if ticks is None else f" ({ticks.static_slot_macroticks} macroticks)"
-    minislot = "" if ticks is None else f" ({ticks.minislot_macroticks} macroticks)"
-    pairs, right = fitted.dynamic_pairs, fitted.dynamic_pairs_explained
-    return [
-        f"{len(counts)} cycles, counters {_ranges(counts)}",
-        f"static slots: {fitted.static_slots} (the highest static ID that was seen)",
-        f"static slot pitch: {_us(fitted.static_slot_us)}{slot}",
-        f"minislot: {_us(fitted.minislot_us)}{minislot}",
-        f"macrotick: {_us(None if ticks is None else ticks.macrotick_us)}",
-        "start jitter of static frames: "
-        + ("unknown" if jitter is None else f"{jitter[0]:+.2f} to {jitter[1]:+.2f} us"),
-        f"sync frames: {_ranges(fitted.sync_ids) or 'none'}; "
-        f"startup frames: {_ranges(fitted.startup_ids) or 'none'}",
-        f"dynamic slots of ceil(frame / minislot) + 1 minislots: right for {right} of {pairs} "
-        "consecutive pairs",
-    ]
-
-
-def _multiplex_table(multiplexing: Iterable[Multiplex]) -> Table:
-    """Frame IDs with the same multiplexing in one row."""
-    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
-    for entry in multiplexing:
-        groups[entry.segment, _pattern(entry)].append(entry.frame_id)
-    grid = Table("segment", "data seen in", "frame IDs", show_edge=False)
-    for (segment, pattern), ids in groups.items():
-        grid.add_row(segment, pattern, _ranges(ids))
-    return grid
-
-
-def _pattern(entry: Multiplex) -> str:
-    sightings = f"{len(entry.cycles)} of {entry.recorded_cycles} cycles"
-    if not entry.cycles:
-        return f"none of {entry.recorded_cycles} cycles (null frames)"
-    if entry.repetition is None:
-        return sightings
-    return f"{entry.base_cycle} modulo {entry.repetition} ({sightings})"
-
-
-def _us(time_us: float | None) -> str:
-    return "unknown" if time_us is None else f"{time_us:.2f} us"
-
-
-def _ranges(numbers: Iterable[int]) -> str:
-    return ", ".join(ranges(numbers))

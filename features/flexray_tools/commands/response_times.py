@@ -14,14 +14,21 @@ from concord.bus.flexray.slot_file import read_slot_file
 from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster
-from concord.features.flexray_tools.response_times import FrameResponse, ResponseTimes
+from concord.features.flexray_tools.commands.frame_logs import Columns, slots_of_log
+from concord.features.flexray_tools.frame_logs.log_files import is_frame_log
+from concord.features.flexray_tools.response_times import (
+    FrameResponse,
+    ResponseTimes,
+    last_minislot,
+)
 from concord.features.flexray_tools.traffic import worst_responses
 
 
 class ResponseRow(msgspec.Struct, frozen=True):
     """The bound of one frame. `worst_us` is None if lower IDs may hold it up for ever; `spare_us`
-    is the deadline less the bound, None without either. `seen_us` is the worst response in random
-    traffic, and `margin_us` the bound less that; None without traffic."""
+    is the deadline less the bound, None without either. `latest_minislot` is the last in which a
+    dynamic frame may begin. `seen_us` is the worst response in random traffic, and `margin_us` the
+    bound less that; None without traffic."""
 
     frame_id: int
     node: int
@@ -33,6 +40,7 @@ class ResponseRow(msgspec.Struct, frozen=True):
     exact: bool
     deadline_us: float | None
     spare_us: float | None
+    latest_minislot: int | None = None
     seen_us: float | None = None
     margin_us: float | None = None
 
@@ -43,6 +51,7 @@ def wcrt(
     *,
     cluster: str,
     name: str | None = None,
+    columns: Columns = None,
     simulate: int = 0,
     seed: int = 1,
     json: bool = False,
@@ -50,16 +59,19 @@ def wcrt(
     """Bound the time from a request to the end of its frame, for every frame of a slot table.
 
     Args:
-        slots: Slot table: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        slots: Slot table: TOML, FIBEX (.xml) or AUTOSAR (.arxml). Or a log of frames: the
+            slots in it, with the longest payloads and the shortest periods.
         cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
         name: Which cluster of a FIBEX or AUTOSAR file that has several.
+        columns: Columns file of a CSV log.
         simulate: Cycles of random traffic whose worst responses are shown beside the bounds.
         seed: Seed of the traffic.
         json: Print one JSON object.
     """
     with user_errors():
         bus = read_cluster(cluster, name)
-        table = read_slot_file(slots, bus)
+        log = is_frame_log(slots, columns)
+        table = slots_of_log(slots, bus, columns) if log else read_slot_file(slots, bus)
         if simulate < 0 or seed < 0:
             raise ValueError(
                 f"--simulate {simulate} --seed {seed}: both are numbers from 0 on; correct them"
@@ -67,7 +79,7 @@ def wcrt(
     random = np.random.default_rng(seed)
     seen = worst_responses(bus, table, simulate, random)
     responses = ResponseTimes(bus, table).responses
-    rows = [_row(*one) for one in zip(responses, seen, strict=True)]
+    rows = [_row(bus, *one) for one in zip(responses, seen, strict=True)]
     if json:
         result = {"cluster": bus.name, "cycle_us": bus.cycle_us, "frames": rows}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
@@ -77,7 +89,7 @@ def wcrt(
         sys.stdout.write(f"{line}\n")
 
 
-def _row(response: FrameResponse, seen_us: float | None) -> ResponseRow:
+def _row(cluster: Cluster, response: FrameResponse, seen_us: float | None) -> ResponseRow:
     slot, worst_us = response.slot, response.worst_us
     spare_us = None
     if worst_us is not None and slot.deadline_us is not None:
@@ -93,6 +105,9 @@ def _row(response: FrameResponse, seen_us: float | None) -> ResponseRow:
         exact=response.exact,
         deadline_us=slot.deadline_us,
         spare_us=spare_us,
+        latest_minislot=last_minislot(slot, cluster)
+        if slot.frame_id >= cluster.first_dynamic_id
+        else None,
         seen_us=seen_us,
         margin_us=None if worst_us is None or seen_us is None else worst_us - seen_us,
     )
@@ -132,9 +147,9 @@ def _remarks(rows: list[ResponseRow], cluster: Cluster) -> list[str]:
         for row in rows
         if row.spare_us is not None and row.spare_us < 0
     ]
-    latest = cluster.latest_transmission_minislot
     said += [
-        f"frame ID {row.frame_id}: lower IDs may keep it beyond minislot {latest} (pLatestTx) for "
+        f"frame ID {row.frame_id}: lower IDs may keep it beyond minislot {row.latest_minislot} "
+        "(pLatestTx of its node, or the end of the segment) for "
         "ever; give it a lower ID, or lower IDs longer periods or fewer bytes"
         for row in rows
         if row.worst_us is None

@@ -7,15 +7,18 @@ are left alone, and signals and PDUs are not written. Elements stand in the orde
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import ClusterFileFormat
 from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.files.exchange import (
     Format,
+    FoundFrame,
     ecu_name,
     find_cluster,
     frame_name,
+    latest_of_nodes,
     read_cluster,
     read_slots,
 )
@@ -51,7 +54,7 @@ _NAMES = tuple(
 
 def cluster_from_arxml(text: str | bytes, name: str | None = None) -> Cluster:
     """Return the FlexRay cluster of an ARXML document, as `read_cluster`."""
-    return read_cluster(_FORMAT, text, name)
+    return read_cluster(_FORMAT, text, name).cluster
 
 
 def slots_from_arxml(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
@@ -107,11 +110,15 @@ def _put_slots(document: XmlDocument, cluster: Element, slots: Sequence[MessageS
     if not slots:
         return
     elements = _package(document.root, _SLOTS)
+    latest = latest_of_nodes(
+        slots, lambda: read_cluster(_FORMAT, document_text(document), _title(cluster)).cluster
+    )
     for slot in slots:
         frame = _named(elements, "FLEXRAY-FRAME", frame_name(slot))
         _put(frame, "FRAME-LENGTH", slot.payload_bytes)
     for node in sorted({slot.node for slot in slots}):
-        _add_sender(elements, node, [slot for slot in slots if slot.node == node])
+        of_node = [slot for slot in slots if slot.node == node]
+        _add_sender(elements, node, of_node, latest.get(node))
     for channel, letter in channels:
         sent = [slot for slot in slots if letter in slot.channel]
         connectors = _after_name(channel, "COMM-CONNECTORS")
@@ -149,10 +156,14 @@ def _trigger(triggerings: Element, slot: MessageSlot, letter: str) -> None:
     _put(timing, "SLOT-ID", slot.frame_id)
 
 
-def _add_sender(elements: Element, node: int, slots: Sequence[MessageSlot]) -> None:
+def _add_sender(
+    elements: Element, node: int, slots: Sequence[MessageSlot], latest: int | None
+) -> None:
     """Add the ECU of a node, with a connector to each of its channels and a port for each frame."""
     ecu = _named(elements, "ECU-INSTANCE", ecu_name(node))
-    _named(_put(ecu, "COMM-CONTROLLERS"), _CONTROLLER, "controller")
+    controller = _named(_put(ecu, "COMM-CONTROLLERS"), _CONTROLLER, "controller")
+    if latest is not None:
+        _put(controller, f"{_CONTROLLER}-VARIANTS/{_CONTROLLER}-CONDITIONAL/LATEST-TX", latest)
     connectors = _put(ecu, "CONNECTORS")
     for letter in sorted({letter for slot in slots for letter in slot.channel}):
         path = f"/{_SLOTS}/{ecu_name(node)}/controller"
@@ -313,31 +324,38 @@ def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:
     return found[0], found[1]
 
 
-def _frames(root: Element) -> Callable[[Element], tuple[str, str | None, int | None, str]]:
+def _frames(root: Element) -> Callable[[Element], FoundFrame]:
     named = _paths(root)
 
-    def frame_of(triggering: Element) -> tuple[str, str | None, int | None, str]:
+    def frame_of(triggering: Element) -> FoundFrame:
         where = f"frame triggering {_short_name(triggering)!r}"
         path = triggering.findtext(f"{AR}FRAME-REF", "").strip()
         frame = named.get(path)
         length = None if frame is None else number(frame, f"{AR}FRAME-LENGTH", int, where)
-        return where, path, length, _sender(triggering, named)
+        return where, path, length, *_sender(triggering, named)
 
     return frame_of
 
 
-def _sender(element: Element, named: Mapping[str, Element]) -> str:
-    """Return the ECU with the output port of a triggering, "" where no port is one."""
+def _sender(element: Element, named: Mapping[str, Element]) -> tuple[str, Element | None]:
+    """Return the ECU with the output port of a triggering, "" where no port is one, and the
+    controller of the port's connector."""
     for reference in element.iter(f"{AR}FRAME-PORT-REF"):
         path = (reference.text or "").strip()
         port = named.get(path)
         if port is not None and port.findtext(f"{AR}COMMUNICATION-DIRECTION", "").strip() == "OUT":
-            above = path
+            above, controller = path, None
             while above:
                 above = above.rpartition("/")[0]
-                if above in named and named[above].tag == f"{AR}ECU-INSTANCE":
-                    return _short_name(named[above])
-    return ""
+                one = named.get(above)
+                if one is None:
+                    continue
+                used = one.findtext(f"{AR}COMM-CONTROLLER-REF", "").strip()
+                controller = named.get(used, controller)
+                if one.tag == f"{AR}ECU-INSTANCE":
+                    found = None if controller is None else _conditional(controller, _CONTROLLER)
+                    return _short_name(one), found
+    return "", None
 
 
 def _turn(timing: Element, cycles: int, where: str) -> tuple[int | None, int | None, int]:
@@ -390,5 +408,5 @@ _FORMAT = Format(
 )
 WITHOUT_ELEMENT = _FORMAT.lacking()
 """Fields of a cluster for which AUTOSAR has no element."""
-ARXML = ClusterFileFormat(cluster_from_arxml, slots_from_arxml)
+ARXML = ClusterFileFormat(partial(read_cluster, _FORMAT), slots_from_arxml)
 """The readers of AUTOSAR files."""

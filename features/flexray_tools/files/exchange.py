@@ -8,9 +8,16 @@ from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple, cast
 
-from concord.bus.flexray.cluster import MICROTICKS_US, Cluster, ClusterError
+from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.dynamic_segment import MessageSlot
+from concord.features.flexray_tools.files.usual_values import (
+    ESSENTIAL,
+    NAMED_USUAL,
+    OF_CONTROLLERS,
+    usual_values,
+    with_usual_controllers,
+)
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     Element,
@@ -20,6 +27,7 @@ from concord.features.flexray_tools.files.xml_document import (
 
 SLOT_FIELDS_WITHOUT_ELEMENT = ("period_us", "offset_us", "deadline_us")
 """Fields of a slot for which a frame triggering has no element."""
+MAX_MINISLOTS = 7988
 _NODE = re.compile(r"node_(\d+)")
 
 
@@ -84,6 +92,10 @@ PARAMETERS = (
 )  # fmt: skip
 
 
+FoundFrame = tuple[str, str | None, int | None, str, Element | None]
+"""Place in messages, name, length in bytes, sender and the sender's controller."""
+
+
 class Format(NamedTuple):
     """An exchange format: its words, and the functions that find its elements.
 
@@ -105,7 +117,7 @@ class Format(NamedTuple):
         controllers: (root, cluster, place in messages) -> those on its channels.
         key_slots: (controllers) -> slots of sync frames, and of start-up frames.
         frames: (root) -> a function of a triggering: its place in messages, its frame, the length
-            of this, and the ECU that sends it ("" if none is known).
+            of this, the ECU that sends it ("" if none is known), and the controller of that.
         turn: (timing, cycles of the counter, place in messages) -> slot, base cycle, repetition.
         ecu_names: (root) -> names of all ECUs in order.
     """
@@ -132,7 +144,7 @@ class Format(NamedTuple):
     channels: Callable[[Element, Element], list[tuple[Element, str]]]
     controllers: Callable[[Element, Element, str], list[Element]]
     key_slots: Callable[[Sequence[Element]], tuple[list[int], list[int]]]
-    frames: Callable[[Element], Callable[[Element], tuple[str, str | None, int | None, str]]]
+    frames: Callable[[Element], Callable[[Element], FoundFrame]]
     turn: Callable[[Element, int, str], tuple[int | None, int | None, int]]
     ecu_names: Callable[[Element], list[str]]
 
@@ -185,12 +197,19 @@ def find_cluster(form: Format, root: Element, name: str | None) -> Element:
     return clusters[name]
 
 
-def read_cluster(form: Format, text: str | bytes, name: str | None = None) -> Cluster:
+class ReadCluster(NamedTuple):
+    """A cluster of a file, and a line for each value that the file leaves open."""
+
+    cluster: Cluster
+    notes: tuple[str, ...]
+
+
+def read_cluster(form: Format, text: str | bytes, name: str | None = None) -> ReadCluster:
     """Return the FlexRay cluster of a document; `name` chooses where there are several.
 
-    A file without controllers leaves fields open; they get the usual values: microticks of 25 ns,
-    the longest dynamic payload and the largest pLatestTx that the dynamic segment allows. The cycle
-    counter runs to 63, as FlexRay 2.1 has it, unless CYCLE-COUNT-MAX says otherwise.
+    Elements that a thin export lacks get the usual values (`usual_values`), and a line each. So do
+    a file without controllers, and one whose cluster refers to no channel. The cycle counter runs
+    to 63, as FlexRay 2.1 has it, unless CYCLE-COUNT-MAX says otherwise.
 
     Raises:
         ClusterFileError: the document is not well-formed, declares a document type, or has missing
@@ -201,41 +220,54 @@ def read_cluster(form: Format, text: str | bytes, name: str | None = None) -> Cl
     title = form.title(element)
     where = f"cluster {title!r}"
     values = form.values(element)
-    _check_complete(form, values, where)
     count = form.read(values, "CYCLE-COUNT-MAX", int, where)
     rate = number(values, form.rate, float, where)
     fields: dict[str, Any] = {
         "name": title,
-        "channels": form.letters(root, element, where),
+        "channels": form.letters(root, element, where) or None,
         "bit_rate_mbps": _bit_rate_mbps(rate, form.read(values, "BIT", float, where), form, where),
         "number_of_cycles": 64 if count is None else 1 + count,
     }
-    for tag, row in form.tags("cluster", _CLOCKS).items():
+    rows = form.tags("cluster", _CLOCKS)
+    for tag, row in rows.items():
         fields[row.field] = form.read(values, tag, row.kind, where)
+    _check_complete(form, fields, where)
     period_us = form.read(values, "SAMPLE-CLOCK-PERIOD", float, where)
-    fields |= _controller_fields(form, form.controllers(root, element, where), period_us)
+    controllers, differing = _controller_fields(
+        form, form.controllers(root, element, where), period_us
+    )
+    lacking = [field for field in NAMED_USUAL if fields[field] is None]
+    if fields["minislots"]:
+        lacking += [field for field in OF_CONTROLLERS if field not in controllers]
     try:
-        return _with_usual_values(fields)
+        usual = usual_values(fields)
+        cluster = with_usual_controllers({**fields, **usual, **controllers})
     except ClusterError as error:
         rows = form.tags("cluster", _CLOCKS, _NODE_PART)
         tags = ", ".join(tag for tag, row in rows.items() if row.field in str(error))
         raise ClusterFileError(
             f"{error} ({form.standard} elements: {tags or 'SHORT-NAME'})"
         ) from error
+    rows = form.tags("cluster", _NODE_PART)
+    names = {row.field: f"<{tag}>" for tag, row in rows.items()}
+    names |= {"channels": form.no_channel[1], "bit_rate_mbps": form.no_rate}
+    notes = [
+        f"{where}: {names[field]} is missing; {field} is taken to be {getattr(cluster, field)}"
+        for field in lacking
+    ]
+    return ReadCluster(cluster, (*notes, *(f"{where}: {one}" for one in differing)))
 
 
-def _check_complete(form: Format, values: Element, where: str) -> None:
-    """Refuse a cluster that lacks elements, with all their names."""
+def _check_complete(form: Format, fields: dict[str, Any], where: str) -> None:
+    """Refuse a cluster that lacks elements without a usual value, with all their names."""
+    rows = form.tags("cluster")
+    known = sum(fields[field] is not None for field in ("macrotick_us", "macroticks_per_cycle"))
     missing = [
         f"<{form.prefix}{tag}> ({row.field})"
-        for tag, row in form.tags("cluster").items()
-        if values.find(form.space + tag) is None
+        for tag, row in rows.items()
+        if fields[row.field] is None
+        and (row.field in ESSENTIAL or (row.field == "cycle_us" and not known))
     ]
-    tag, said = form.no_channel
-    if next(values.iter(tag), None) is None:
-        missing.append(said)
-    if values.find(form.rate) is None and values.find(f"{form.space}BIT") is None:
-        missing.append(form.no_rate)
     if missing:
         several = len(missing) > 1
         raise ClusterFileError(
@@ -244,8 +276,12 @@ def _check_complete(form: Format, values: Element, where: str) -> None:
         )
 
 
-def _bit_rate_mbps(rate: float | None, bit_us: float | None, form: Format, where: str) -> float:
-    """Return the bit rate of a rate (bit/s) and BIT; one of them may be missing."""
+def _bit_rate_mbps(
+    rate: float | None, bit_us: float | None, form: Format, where: str
+) -> float | None:
+    """Return the bit rate of a rate (bit/s) and BIT; one of them may be missing, or both."""
+    if rate is None and bit_us is None:
+        return None
     tag, rate, bit_us = form.rate.rpartition("}")[2], (rate or 0.0) / 1e6, bit_us or 0.0
     if not rate and not bit_us:
         raise ClusterFileError(f"{where}: <{tag}> and <BIT> are 0; state the rate in bit/s")
@@ -258,9 +294,9 @@ def _bit_rate_mbps(rate: float | None, bit_us: float | None, form: Format, where
 
 def _controller_fields(
     form: Format, controllers: Sequence[Element], period_us: float | None
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], list[str]]:
     """Return the controllers' values: the earliest pLatestTx, the longest payload, the widest
-    correction of any, and all key slots.
+    correction of any, and all key slots; and a line for limits that differ.
 
     The microtick is that of the first controller that has one, or so many sample clock periods;
     controllers may differ in clocks.
@@ -271,37 +307,27 @@ def _controller_fields(
         return [value for value in values if value is not None]
 
     found: dict[str, Any] = {}
+    notes: list[str] = []
     for tag, row in form.tags(_NODE_PART).items():
         if values := stated(tag, row.kind):
             found[row.field] = row.of_several(values)
+        if row.field == "latest_transmission_minislot" and len(set(values)) > 1:
+            notes.append(
+                f"<{tag}> is {min(values)} to {max(values)}; each frame keeps that of its sender, "
+                f"and one without a sender has {min(values)}"
+            )
     samples = stated("SAMPLES-PER-MICROTICK", int)
     if "microtick_us" not in found and samples and period_us:
         found["microtick_us"] = round(samples[0] * period_us, 9)
     sync, startup = form.key_slots(controllers)
     return {
         **found, "sync_slots": tuple(sorted({*sync, *startup})), "startup_slots": tuple(startup)
-    }  # fmt: skip
-
-
-def _with_usual_values(fields: dict[str, Any]) -> Cluster:
-    """Return a cluster of these fields; those of the controllers are filled in where missing."""
-    microtick_us = fields.get("microtick_us", 0.025)
-    # Another microtick than FlexRay's is refused by the cluster, whatever is counted of it.
-    known = microtick_us in MICROTICKS_US
-    counts: dict[str, Any] = {
-        "microticks_per_cycle": round(fields["cycle_us"] / microtick_us) if known else 0
-    }
-    silent = {"dynamic_payload_words": 0, "latest_transmission_minislot": 0}
-    probe = Cluster(**{**counts, **fields, **silent})
-    fitting = [n for n in range(128) if probe.dynamic_slot_most_minislots(2 * n) <= probe.minislots]
-    words = fields.get("dynamic_payload_words", max(fitting, default=0))
-    latest = max(0, probe.minislots - probe.dynamic_slot_most_minislots(2 * words) + 1)
-    usual = {"dynamic_payload_words": words, "latest_transmission_minislot": latest}
-    return Cluster(**{**counts, **usual, **fields})
+    }, notes  # fmt: skip
 
 
 class _Triggering(NamedTuple):
-    """A frame in the slots of one channel; `sender` is the name of an ECU, "" if none is known."""
+    """A frame in the slots of one channel; `sender` is the name of an ECU, "" if none is known.
+    `latest` is the pLatestTx of its controller."""
 
     frame: str
     frame_id: int
@@ -310,6 +336,7 @@ class _Triggering(NamedTuple):
     channel: str
     payload_bytes: int
     sender: str
+    latest: int | None
 
 
 def read_slots(form: Format, text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
@@ -329,6 +356,8 @@ def read_slots(form: Format, text: str | bytes, name: str | None = None) -> tupl
     channels: dict[_Triggering, set[str]] = {}
     for one in _triggerings(form, root, element):
         channels.setdefault(one._replace(channel=""), set()).add(one.channel)
+    # That of the cluster is the smallest of all.
+    least = _least_latest(form, root, element)
     used = {one.sender for one in channels}
     numbers = _numbers([name for name in form.ecu_names(root) if name and name in used])
     following = max(numbers.values(), default=-1) + 1
@@ -346,9 +375,16 @@ def read_slots(form: Format, text: str | bytes, name: str | None = None) -> tupl
                 channel=cast(Channels, "".join(sorted(channels[one]))),
                 base_cycle=one.base_cycle,
                 repetition=one.repetition,
+                latest_transmission_minislot=one.latest if one.latest != least else None,
             )
         )
     return tuple(slots)
+
+
+def _least_latest(form: Format, root: Element, cluster: Element) -> int | None:
+    controllers = form.controllers(root, cluster, "cluster")
+    values = [form.read(one, "LATEST-TX", int, "controller") for one in controllers]
+    return min((value for value in values if value is not None), default=None)
 
 
 def _triggerings(form: Format, root: Element, cluster: Element) -> Iterator[_Triggering]:
@@ -356,7 +392,10 @@ def _triggerings(form: Format, root: Element, cluster: Element) -> Iterator[_Tri
     frame_of = form.frames(root)
     for channel, letter in form.channels(root, cluster):
         for one in channel.iter(form.triggering):
-            where, frame, length, sender = frame_of(one)
+            where, frame, length, sender, controller = frame_of(one)
+            latest = None
+            if controller is not None:
+                latest = form.read(controller, "LATEST-TX", int, "controller")
             for timing in one.iter(form.timing):
                 if frame is None or length is None:
                     raise ClusterFileError(
@@ -366,7 +405,9 @@ def _triggerings(form: Format, root: Element, cluster: Element) -> Iterator[_Tri
                 slot, base, repetition = form.turn(timing, cycles, where)
                 if slot is None:
                     raise ClusterFileError(f"{where}: element <SLOT-ID> is missing; add it")
-                yield _Triggering(frame, slot, base or 0, repetition, letter, length, sender)
+                yield _Triggering(
+                    frame, slot, base or 0, repetition, letter, length, sender, latest
+                )
 
 
 def _numbers(ecus: Sequence[str]) -> dict[str, int]:
@@ -384,6 +425,18 @@ def frame_name(slot: MessageSlot) -> str:
 def ecu_name(node: int) -> str:
     """Return the name of the ECU of a node."""
     return f"node_{node}"
+
+
+def latest_of_nodes(slots: Sequence[MessageSlot], cluster: Callable[[], Cluster]) -> dict[int, int]:
+    """Return the pLatestTx of each node for its controller; none where no slot has its own."""
+    if all(slot.latest_transmission_minislot is None for slot in slots):
+        return {}
+    usual = cluster().latest_transmission_minislot
+    found: dict[int, int] = {}
+    for slot in slots:
+        own = slot.latest_transmission_minislot
+        found[slot.node] = min(found.get(slot.node, MAX_MINISLOTS), usual if own is None else own)
+    return found
 
 
 def without_element(slots: Sequence[MessageSlot]) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ FIBEX 2 to 4.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from xml.sax.saxutils import escape
 
 from concord.bus.flexray.cluster import Cluster
@@ -14,9 +15,11 @@ from concord.bus.flexray.cluster_files import ClusterFileFormat
 from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.features.flexray_tools.files.exchange import (
     Format,
+    FoundFrame,
     ecu_name,
     find_cluster,
     frame_name,
+    latest_of_nodes,
     read_cluster,
     read_slots,
 )
@@ -38,7 +41,7 @@ _XSI = "{http://www.w3.org/2001/XMLSchema-instance}"
 
 def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
     """Return the FlexRay cluster of a FIBEX document, as `read_cluster`."""
-    return read_cluster(_FORMAT, text, name)
+    return read_cluster(_FORMAT, text, name).cluster
 
 
 def slots_from_fibex(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
@@ -66,6 +69,7 @@ def fibex_with_slots(
     """
     document = parse_document(text, "FIBEX")
     root = document.root
+    latest = latest_of_nodes(slots, lambda: cluster_from_fibex(text, name))
     channels = _channels(root, find_cluster(_FORMAT, root, name))
     _remove_slots(root, [channel for channel, _ in channels])
     elements = section(root, f"{FX}ELEMENTS")
@@ -86,6 +90,10 @@ def fibex_with_slots(
         for node in sorted({slot.node for slot in sent}):
             of_node = [slot for slot in sent if slot.node == node]
             _connect(ecus, node, channel.get("ID", ""), letter, of_node)
+    for node, minislot in latest.items():
+        place = f"{FX}CONTROLLER[@ID='controller_of_{ecu_name(node)}']"
+        for controller in root.findall(f".//{place}"):
+            add(controller, f"{FLEXRAY}LATEST-TX", minislot)
     return document_text(document)
 
 
@@ -231,17 +239,19 @@ def _title(element: Element, where: str = "cluster") -> str:
 
 
 def _channels(root: Element, element: Element) -> list[tuple[Element, str]]:
+    """Return the channels of a cluster with their letters; one that refers to none has all."""
     references = set(_references(element, "CHANNEL-REF"))
-    return [
+    found = [
         (channel, channel.findtext(f"{FLEXRAY}FLEXRAY-CHANNEL-NAME", "").strip())
         for channel in root.iter(f"{FX}CHANNEL")
-        if channel.get("ID") in references
+        if channel.get("ID") in references or not references
     ]
+    return [one for one in found if references or one[1] in ("A", "B")]
 
 
 def _letters(root: Element, element: Element, where: str) -> str:
     names = {channel.get("ID"): letter for channel, letter in _channels(root, element)}
-    references = _references(element, "CHANNEL-REF")
+    references = _references(element, "CHANNEL-REF") or list(names)
     lost = [reference for reference in references if names.get(reference) not in ("A", "B")]
     if lost:
         raise ClusterFileError(
@@ -253,7 +263,7 @@ def _letters(root: Element, element: Element, where: str) -> str:
 
 def _controllers(root: Element, element: Element, where: str) -> list[Element]:
     """The controllers that connectors put on the cluster's channels; all where there are none."""
-    channels = set(_references(element, "CHANNEL-REF"))
+    channels = {channel.get("ID") for channel, _ in _channels(root, element)}
     connected: dict[str | None, bool] = {}
     for connector in root.iter(f"{FX}CONNECTOR"):
         on = bool(channels.intersection(_references(connector, "CHANNEL-REF")))
@@ -280,23 +290,29 @@ def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:
     return sorted(found["SYNC"]), sorted(found["STARTUP-SYNC"])
 
 
-def _frames(root: Element) -> Callable[[Element], tuple[str, str | None, int | None, str]]:
-    senders = {
-        triggering: _title(ecu, "ECU")
-        for ecu in root.iter(f"{FX}ECU")
-        for port in ecu.iter(f"{FX}OUTPUT-PORT")
-        for triggering in _references(port, "FRAME-TRIGGERING-REF")
-    }
+def _frames(root: Element) -> Callable[[Element], FoundFrame]:
+    controllers = {one.get("ID"): one for one in root.iter(f"{FX}CONTROLLER")}
+    senders: dict[str | None, tuple[str, Element | None]] = {}
+    for ecu in root.iter(f"{FX}ECU"):
+        own = list(ecu.iter(f"{FX}CONTROLLER"))
+        only = own[0] if len(own) == 1 else None
+        for connector in [*ecu.iter(f"{FX}CONNECTOR"), ecu]:
+            named = _references(connector, "CONTROLLER-REF") if connector is not ecu else []
+            controller = controllers.get(named[0]) if named else only
+            for port in connector.iter(f"{FX}OUTPUT-PORT"):
+                for triggering in _references(port, "FRAME-TRIGGERING-REF"):
+                    senders.setdefault(triggering, (_title(ecu, "ECU"), controller))
     lengths = {
         frame.get("ID"): number(frame, f"{FX}BYTE-LENGTH", int, f"frame {frame.get('ID')}")
         for frame in root.iter(f"{FX}FRAME")
     }
 
-    def frame_of(triggering: Element) -> tuple[str, str | None, int | None, str]:
+    def frame_of(triggering: Element) -> FoundFrame:
         name = triggering.get("ID", "?")
         reference = triggering.find(f"{FX}FRAME-REF")
         frame = None if reference is None else reference.get("ID-REF")
-        return f"frame triggering {name!r}", frame, lengths.get(frame), senders.get(name, "")
+        sender, controller = senders.get(name, ("", None))
+        return f"frame triggering {name!r}", frame, lengths.get(frame), sender, controller
 
     return frame_of
 
@@ -344,5 +360,5 @@ _FORMAT = Format(
 )
 WITHOUT_ELEMENT = _FORMAT.lacking()
 """Fields of a cluster for which FIBEX has no element."""
-FIBEX = ClusterFileFormat(cluster_from_fibex, slots_from_fibex)
+FIBEX = ClusterFileFormat(partial(read_cluster, _FORMAT), slots_from_fibex)
 """The readers of FIBEX files."""

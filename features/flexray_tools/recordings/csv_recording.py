@@ -6,7 +6,11 @@ Lines that begin with `;` or `#` are comments, as sigrok writes them.
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from math import isfinite
 from typing import Literal, NamedTuple
+
+import numpy as np
 
 from concord.features.flexray_tools.recordings.waveform import (
     MAX_TIME_NS,
@@ -22,7 +26,7 @@ NANOSECONDS: dict[str, float] = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9}
 _UNIT = re.compile(r"(?<![a-z])(ns|us|ms|s)(?![a-z])")
 
 
-class _Heading(NamedTuple):
+class CsvHeading(NamedTuple):
     """Names of the columns, place of the time among them, and its unit where it is said."""
 
     names: Sequence[str]
@@ -37,8 +41,7 @@ def parse_csv(text: str, unit: Unit | None = None) -> RecordedSignals:
     are nanoseconds. Raises WaveformError if most lines are unreadable, the unit is open or the time
     goes backwards.
     """
-    lines = [line for line in text.splitlines() if line.strip() and line[0] not in ";#"]
-    heading, lines = _heading(lines)
+    heading, lines = csv_heading(data_lines(text))
     stated = unit or heading.unit
     scale = NANOSECONDS[stated or "ns"]
     samples: dict[str, tuple[list[int], list[int]]] = {}
@@ -61,6 +64,12 @@ def parse_csv(text: str, unit: Unit | None = None) -> RecordedSignals:
         fractions = fractions or (found and stated is None and time != round(time))
         unreadable += not found
     if unreadable >= max(1, len(lines) - unreadable) or not lines:
+        volts = _volts(lines)
+        if volts is not None:
+            raise WaveformError(
+                f"the samples look like volts ({volts[0]:g} to {volts[1]:g}); state from which "
+                f"voltage on the bus is high, such as --threshold {np.mean(volts):.3g}"
+            )
         raise WaveformError(
             f"{unreadable} of {len(lines)} lines are no 'time_ns,level' with level 0 or 1; export "
             "the digital signal as CSV of level changes"
@@ -75,15 +84,20 @@ def parse_csv(text: str, unit: Unit | None = None) -> RecordedSignals:
     )
 
 
-def _heading(lines: Sequence[str]) -> tuple[_Heading, Sequence[str]]:
+def data_lines(text: str) -> list[str]:
+    """Return the lines of CSV text that are no comments."""
+    return [line for line in text.splitlines() if line.strip() and line[0] not in ";#"]
+
+
+def csv_heading(lines: Sequence[str]) -> tuple[CsvHeading, Sequence[str]]:
     """Names of the columns if the first line has them, and the lines of data."""
     if not lines or "time" not in lines[0].lower():
-        return _Heading((), 0, None), lines
+        return CsvHeading((), 0, None), lines
     names = [name.strip().strip('"') for name in re.split("[,;\t]", lines[0])]
     time = next((i for i, name in enumerate(names) if "time" in name.lower()), 0)
     said = names[time].lower().replace("time", "").replace("\N{MICRO SIGN}", "u")
     unit = _UNIT.search(said.replace("\N{GREEK SMALL LETTER MU}", "u"))
-    return _Heading(names, time, unit and unit[1]), lines[1:]
+    return CsvHeading(names, time, unit and unit[1]), lines[1:]
 
 
 def _time_ns(fields: Sequence[str], place: int, scale: float) -> float | None:
@@ -93,6 +107,17 @@ def _time_ns(fields: Sequence[str], place: int, scale: float) -> float | None:
     except (ValueError, IndexError):
         return None
     return time if abs(time) <= MAX_TIME_NS else None
+
+
+def _volts(lines: Sequence[str]) -> tuple[float, float] | None:
+    """Return the lowest and highest value where the last column has numbers that are no levels."""
+    values: list[float] = []
+    for line in lines:
+        with suppress(ValueError):
+            values.append(float(re.split("[,;\t]", line)[-1]))
+    values = [value for value in values if isfinite(value)]
+    enough = 2 * len(values) > len(lines) and max(values) > min(values)
+    return (min(values), max(values)) if enough else None
 
 
 def _level(field: str) -> int | None:

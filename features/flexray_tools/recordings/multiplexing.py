@@ -1,6 +1,7 @@
 """In which cycles of a recording a frame ID carried data, and what that proves."""
 
-from collections.abc import Iterable, Sequence, Set
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import NamedTuple
 
 from concord.bus.flexray.cluster_parameters import Segment
@@ -29,7 +30,7 @@ def multiplexing(
     cycles: Sequence[Sequence[DecodedFrame]], static_slots: int
 ) -> tuple[Multiplex, ...]:
     """Return for each frame ID of these cycles when it carried data."""
-    recorded = {cycle[0].frame.cycle_count for cycle in cycles}
+    recorded = Counter(cycle[0].frame.cycle_count for cycle in cycles)
     seen: dict[int, set[int]] = {}
     for cycle in cycles:
         for decoded in cycle:
@@ -37,27 +38,36 @@ def multiplexing(
             if not decoded.frame.null:
                 counts.add(decoded.frame.cycle_count)
     return tuple(
-        Multiplex(
-            frame_id,
-            "static" if frame_id <= static_slots else "dynamic",
-            tuple(sorted(counts)),
-            len(recorded),
-            *(_base_and_repetition(counts, recorded) or (None, None)),
-        )
+        multiplex(frame_id, counts, recorded, static_slots)
         for frame_id, counts in sorted(seen.items())
     )
 
 
-def _base_and_repetition(seen: Set[int], recorded: Set[int]) -> tuple[int, int] | None:
+def multiplex(
+    frame_id: int, seen: Set[int], recorded: Mapping[int, int], static_slots: int
+) -> Multiplex:
+    """Return when a frame ID carried data that was `seen` at these cycle counters.
+
+    `recorded` says how many cycles of each counter the recording has.
+    """
+    claim = _base_and_repetition(seen, recorded) or (None, None)
+    segment: Segment = "static" if frame_id <= static_slots else "dynamic"
+    return Multiplex(frame_id, segment, tuple(sorted(seen)), len(recorded), *claim)
+
+
+def _base_and_repetition(seen: Set[int], recorded: Mapping[int, int]) -> tuple[int, int] | None:
     for repetition in REPETITIONS:
         bases = {cycle % repetition for cycle in seen}
         if len(bases) != 1:
             continue
         (base,) = bases
-        periods = [sum(cycle % repetition == b for cycle in recorded) for b in range(repetition)]
+        periods = [0] * repetition
+        for cycle, times in recorded.items():
+            periods[cycle % repetition] += times
         if seen != _turns(recorded, base, repetition) or min(periods) < 2:
             continue
-        if _chance(len(seen), len(recorded), repetition) < LARGEST_CHANCE:
+        sent = sum(recorded[cycle] for cycle in seen)
+        if _chance(sent, sum(recorded.values()), repetition) < LARGEST_CHANCE:
             return base, repetition
     return None
 

@@ -20,10 +20,17 @@ class PlcaSettings(NamedTuple):
         opportunity_bits: an opportunity that its node does not use (aPLCATransmitOpportunityTimer).
         burst_frames: frames that a node may send after the first of its opportunity
             (aPLCAMaxBurstCount).
+        burst_timer_bits: how long the others wait for the next frame of a burst that is not full
+            (aPLCABurstTimer).
     """
 
     opportunity_bits: int = 32
     burst_frames: int = 0
+    burst_timer_bits: int = 128
+
+    def waits_bits(self, frames: int) -> int:
+        """Return how long the bus is idle after a burst of so many frames."""
+        return self.burst_timer_bits if 0 < frames <= self.burst_frames else 0
 
 
 class PlcaTransmission(NamedTuple):
@@ -55,7 +62,7 @@ def walk(
                 now = start + frame_bits(size)
                 sent.append(PlcaTransmission(node, number, start, now))
             done[node] += len(turn)
-            now += 0 if turn else timing.opportunity_bits
+            now += timing.waits_bits(len(turn)) if turn else timing.opportunity_bits
     return sent, now
 
 
@@ -75,7 +82,8 @@ def longest_walk_bits(
     """Return the time in which `senders` of the nodes send a share of these frames each."""
     cycles = cycles_of(timing, len(payloads))
     idle = cycles * (BEACON_BITS + (nodes - senders) * timing.opportunity_bits)
-    return idle + senders * share_bits(payloads)
+    last = len(payloads) - (cycles - 1) * (1 + timing.burst_frames)
+    return idle + senders * (share_bits(payloads) + timing.waits_bits(last))
 
 
 def worst_access_bits(timing: PlcaSettings, nodes: int, payloads: Sequence[int]) -> int:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from concord.bus.arbitration import ONE_CLASS, Arbiter, LosingBids, largest_bid, unclassed
 from concord.bus.bus import Transmission
+from concord.bus.clocks import ClockDrift, ClockErrors, SyncOutage
 from concord.bus.schedule import Schedule
 from concord.features.other_buses.identified_bus import IdentifiedBus
 from concord.features.other_buses.identified_frames import frame_id_of
@@ -16,7 +17,14 @@ from concord.features.other_buses.plca.cycle import (
     worst_access_bits,
 )
 from concord.features.other_buses.plca.ethernet import FRAMING, MAX_NODES
+from concord.features.other_buses.plca.without_beacons import gets_through
+from concord.nodes.commands import Kill
 from concord.scenarios.bus_table.bus_definition import BusDefinition, BusRequest
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
+
+COORDINATOR = 0
+"""The node with PLCA ID 0, which sends the beacons."""
 
 
 class PlcaBus(IdentifiedBus):
@@ -30,10 +38,18 @@ class PlcaBus(IdentifiedBus):
     """
 
     name = "plca"
+    # The PHY of node 0 sends the beacons, whatever frames its host sends.
+    sync_nodes = (COORDINATOR,)
+    sync_in_frames = False
     segment_name = "transmit opportunities"
 
     def __init__(
-        self, schedule: Schedule, share_bytes: int, arbiter: Arbiter, timing: PlcaSettings
+        self,
+        schedule: Schedule,
+        share_bytes: int,
+        arbiter: Arbiter,
+        timing: PlcaSettings,
+        is_silent: bool = False,
     ) -> None:
         if schedule.nodes > MAX_NODES:
             raise ValueError(
@@ -42,6 +58,7 @@ class PlcaBus(IdentifiedBus):
             )
         super().__init__(schedule, share_bytes, FRAMING, arbiter, ONE_CLASS)
         self.timing = timing
+        self._is_silent = is_silent
 
     def identifiers(self, node: int, cycle: int) -> range:
         """Return the node's number where the schedule lets it send."""
@@ -64,6 +81,31 @@ class PlcaBus(IdentifiedBus):
         """The largest bids that losers may have beside a winner's; None where bids do not count."""
         return unclassed if self._arbiter.urgency is largest_bid else None
 
+    def clock_errors(
+        self,
+        nodes: int,
+        drifts: tuple[ClockDrift, ...],
+        outages: tuple[SyncOutage, ...],
+        cycle: int,
+        key: tuple[int, int],
+    ) -> ClockErrors:
+        """Return which of so many nodes send in a cycle (`concord.bus.clocks.KeepsClocks`): without
+        beacons those whose shares CSMA/CD brings through, or none."""
+        out = any(
+            one.first_cycle <= cycle and (one.end_cycle is None or cycle < one.end_cycle)
+            for one in outages
+        )
+        sends = (True,) * nodes
+        if out:
+            through: frozenset[int] = frozenset()
+            if not self._is_silent:
+                may = {*self.schedule.static_senders(cycle), *self.schedule.contenders(cycle)}
+                senders = tuple(sorted(may - set(self.sync_nodes)))
+                bits = self.cycle_us / BIT_US
+                through = gets_through(key, cycle, senders, self._longest, bits)
+            sends = tuple(node in through for node in range(nodes))
+        return ClockErrors((0.0,) * nodes, sends, (True,) * nodes)
+
     def transmissions(
         self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
     ) -> tuple[Transmission, ...]:
@@ -85,8 +127,31 @@ class PlcaBus(IdentifiedBus):
 
 
 def _plca(chosen: Plca, asked: BusRequest) -> PlcaBus:
-    timing = PlcaSettings(chosen.opportunity_bits, chosen.burst_frames)
-    return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
+    timing = PlcaSettings(chosen.opportunity_bits, chosen.burst_frames, chosen.burst_timer_bits)
+    silent = chosen.without_beacons == "silence"
+    return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing, silent)
 
 
-DEFINITION = BusDefinition(_plca, lambda _: FRAMING.frame_format())
+def _notes(scenario: Scenario) -> tuple[str, ...]:
+    """Say what happens when a script takes the node that sends the beacons."""
+    steps = [
+        one.step
+        for one in script_of(scenario)
+        if isinstance(one.command, Kill) and one.command.node == COORDINATOR
+    ]
+    bus = scenario.bus
+    if not steps or not isinstance(bus, Plca):
+        return ()
+    after = (
+        "the others send nothing (--without-beacons silence)"
+        if bus.without_beacons == "silence"
+        else "the others fall back to CSMA/CD, and a share that collides too often is not sent "
+        "(--without-beacons csma-cd)"
+    )
+    return (
+        f"--bus plca: node {COORDINATOR} sends the beacons and is out from step {steps[0]}; until "
+        f"it is back {after}; no other node takes over, as PLCA has one coordinator",
+    )
+
+
+DEFINITION = BusDefinition(_plca, lambda _: FRAMING.frame_format(), _notes)

@@ -15,20 +15,22 @@ from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from concord.bus.flexray.slot_file import SlotFileError, checked_slots, read_slot_file
-from concord.features.flexray_tools.files.arxml import WITHOUT_ELEMENT as NOT_IN_ARXML
 from concord.features.flexray_tools.files.arxml import (
+    ARXML,
     arxml_with_slots,
     cluster_from_arxml,
     cluster_to_arxml,
     slots_from_arxml,
 )
-from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT as NOT_IN_FIBEX
+from concord.features.flexray_tools.files.arxml import WITHOUT_ELEMENT as NOT_IN_ARXML
 from concord.features.flexray_tools.files.fibex import (
+    FIBEX,
     cluster_from_fibex,
     cluster_to_fibex,
     fibex_with_slots,
     slots_from_fibex,
 )
+from concord.features.flexray_tools.files.fibex import WITHOUT_ELEMENT as NOT_IN_FIBEX
 from concord.features.flexray_tools.files.xml_document import (
     ClusterFileError,
     document_text,
@@ -205,7 +207,7 @@ def test_a_foreign_autosar_file_by_hand():
     with pytest.raises(ClusterFileError) as refused:
         cluster_from_arxml(FOREIGN)
     # The sentence names every missing element.
-    for element in ("CYCLE>", "MACROTICK-DURATION", "STATIC-SLOT-DURATION", "BAUDRATE"):
+    for element in ("CYCLE>", "MINISLOT-DURATION", "STATIC-SLOT-DURATION", "PAYLOAD-LENGTH"):
         assert element in str(refused.value)
     with pytest.raises(ClusterFileError, match="is not there or has no <FRAME-LENGTH>"):
         slots_from_arxml(FOREIGN.replace("/p/f<", "/p/g<"))
@@ -213,16 +215,62 @@ def test_a_foreign_autosar_file_by_hand():
         slots_from_arxml(FOREIGN.replace("<a:SLOT-ID>61</a:SLOT-ID>", ""))
 
 
-def test_all_missing_elements_of_fibex_are_named_at_once():
+THIN = (
+    "ACTION-POINT-OFFSET", "DYNAMIC-SLOT-IDLE-PHASE", "MINISLOT-ACTION-POINT-OFFSET", "N-I-T",
+    "T-S-S-TRANSMITTER", "SYMBOL-WINDOW", "MACRO-PER-CYCLE", "MACROTICK", "BIT",
+)  # fmt: skip
+
+
+def test_a_thin_export_takes_usual_values_and_says_so():
+    """Nine elements and the references to channels are missing."""
     text = cluster_to_fibex(DEMO)
-    for tag in ("flexray:N-I-T", "flexray:CYCLE", "fx:SPEED", "flexray:BIT"):
-        text = re.sub(f"<{tag}>[^<]*</{tag}>", "", text)
-    text = re.sub("<fx:CHANNEL-REFS>.*</fx:CHANNEL-REFS>", "", text)
+    for tag in THIN:
+        text = re.sub(f"<flexray:{tag}>[^<]*</flexray:{tag}>", "", text)
+    text = re.sub("<fx:SPEED>.*</fx:SPEED>|<fx:CHANNEL-REFS>.*</fx:CHANNEL-REFS>", "", text)
+    cluster, notes = FIBEX.read(text.encode(), None)
+    # The demo has its widest action points.
+    assert cluster.channels == DEMO.channels and cluster.cycle_us == DEMO.cycle_us
+    assert cluster.macrotick_us == 1.0 and cluster.bit_rate_mbps == 10.0
+    assert cluster.macroticks_per_cycle == DEMO.macroticks_per_cycle
+    named = " ".join(notes)
+    for tag in set(THIN) - {"BIT"}:
+        assert f"<{tag}> is missing" in named
+    assert "<CHANNEL-REF>" not in named and "<SPEED> and <BIT>" in named
+    assert len(notes) == len(THIN)
+
+
+def test_elements_without_a_usual_value_are_named_at_once():
+    text = cluster_to_fibex(DEMO)
+    for tag in ("CYCLE", "MACROTICK", "MACRO-PER-CYCLE", "STATIC-SLOT", "MINISLOT"):
+        text = re.sub(f"<flexray:{tag}>[^<]*</flexray:{tag}>", "", text)
     with pytest.raises(ClusterFileError) as refused:
         cluster_from_fibex(text)
-    for said in ("<flexray:N-I-T> (network_idle", "<flexray:CYCLE>", "<SPEED>", "<CHANNEL-REF>"):
+    for said in ("<flexray:CYCLE>", "<flexray:STATIC-SLOT> (static_slot", "<flexray:MINISLOT>"):
         assert said in str(refused.value)
     assert "elements" in str(refused.value) and "\n" not in str(refused.value)
+
+
+SENT = (
+    MessageSlot(frame_id=14, payload_bytes=200, node=0),
+    MessageSlot(frame_id=15, payload_bytes=200, node=1, latest_transmission_minislot=560),
+    MessageSlot(frame_id=16, payload_bytes=16, node=1, latest_transmission_minislot=560),
+    MessageSlot(frame_id=40, payload_bytes=16, node=1, latest_transmission_minislot=560),
+)
+"""Two ECUs, the second of which may begin frames later."""
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "slots"),
+    [
+        (cluster_to_fibex, cluster_from_fibex, slots_from_fibex),
+        (cluster_to_arxml, cluster_from_arxml, slots_from_arxml),
+    ],
+)
+def test_each_frame_keeps_the_latest_minislot_of_its_ecu(written, read, slots):
+    text = written(DEMO, SENT)
+    assert read(text) == DEMO and slots(text) == SENT
+    (note,) = (FIBEX if written is cluster_to_fibex else ARXML).read(text.encode(), None)[1]
+    assert "<LATEST-TX> is 516 to 560; each frame keeps that of its sender" in note
 
 
 def test_clusters_of_one_autosar_file_keep_their_own_controllers():

@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.bus.arbitration import ARBITERS
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.dynamic_segment import MessageSlot
+from concord.bus.flexray.dynamic_segment import MessageSlot, Request, requests_of, walk
 from concord.bus.flexray.presets import AUDI, DEMO
+from concord.bus.flexray.written_slots import written_bus, written_schedule
 from concord.features.flexray_tools.response_times import ResponseTimes
+from concord.features.flexray_tools.traffic import worst_responses
 
 SHORT = msgspec.structs.replace(
     DEMO,
@@ -56,7 +59,8 @@ def simulated(
                 oldest[i] = min(oldest[i], following[i])
                 late_us = random.exponential(0.3 * period_us[i]) * (random.random() < 0.3)
                 following[i] += period_us[i] + late_us
-            in_time = minislot <= cluster.latest_transmission_minislot
+            own = slot.latest_transmission_minislot
+            in_time = minislot <= (cluster.latest_transmission_minislot if own is None else own)
             if oldest[i] <= start_us and in_time and minislot + lengths[i] - 1 <= cluster.minislots:
                 end_us = start_us + cluster.minislot_action_point_us + frame_us[i]
                 worst[i] = max(worst[i], end_us - oldest[i])
@@ -175,3 +179,69 @@ def test_bounds_of_a_crowded_segment_lie_within_three_tenths_of_random_traffic(s
     worst = simulated(SHORT, CROWDED, 100_000, seed)
     for bound, seen in zip(bounds(SHORT, CROWDED), worst, strict=True):
         assert seen <= bound <= 1.3 * seen
+
+
+TWO_CONTROLLERS = [
+    MessageSlot(frame_id=3, payload_bytes=120, node=0),
+    MessageSlot(frame_id=4, payload_bytes=120, node=0),
+    MessageSlot(frame_id=5, payload_bytes=16, node=1, latest_transmission_minislot=56),
+    MessageSlot(frame_id=6, payload_bytes=16, node=1, latest_transmission_minislot=56),
+]
+"""Two long frames before two short ones, whose controller may begin them later."""
+
+
+def test_a_later_limit_of_one_controller_lets_its_frames_out_in_every_cycle():
+    found = bounds(SHORT, TWO_CONTROLLERS)
+    assert max(found[2:]) < 2 * SHORT.cycle_us
+    seen = worst_responses(SHORT, TWO_CONTROLLERS, 3000, np.random.default_rng(1))
+    for bound, worst_us, other_us in zip(
+        found, seen, simulated(SHORT, TWO_CONTROLLERS, 3000, 2), strict=True
+    ):
+        assert worst_us is not None and max(worst_us, other_us) <= bound < 1.2 * worst_us
+    # By the limit of the other controller they wait for ever.
+    shared = [without_limit(slot) for slot in TWO_CONTROLLERS]
+    assert bounds(SHORT, shared)[2:] == [math.inf, math.inf]
+    requests = [Request(slot.node, slot.frame_id, slot.payload_bytes) for slot in shared]
+    assert [one.frame_id for one in walk(SHORT, requests).waiting] == [5, 6]
+    assert not walk(SHORT, requests_of(TWO_CONTROLLERS, SHORT)).waiting
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 30), st.integers(5, 60)), min_size=3, max_size=6),
+    st.integers(0, 2**16),
+)
+def test_bounds_hold_where_every_controller_has_its_own_limit(drawn, seed: int):
+    slots = [
+        MessageSlot(
+            frame_id=3 + place, payload_bytes=2 * words, node=place,
+            latest_transmission_minislot=latest,
+        )
+        for place, (words, latest) in enumerate(drawn)
+    ]  # fmt: skip
+    for bound, worst_us in zip(
+        bounds(SHORT, slots), simulated(SHORT, slots, 400, seed), strict=True
+    ):
+        assert worst_us <= bound
+
+
+def test_a_run_lets_each_node_send_until_its_own_limit():
+    stations = [
+        msgspec.structs.replace(slot, node=8 + place)
+        for place, slot in enumerate(TWO_CONTROLLERS[:2])
+    ]
+    own = [
+        msgspec.structs.replace(slot, node=place, payload_bytes=18)
+        for place, slot in enumerate(TWO_CONTROLLERS[2:])
+    ]
+    for slots, senders in ((own, {0, 1}), ([own[0], without_limit(own[1])], {0})):
+        table = (*stations, *slots)
+        schedule = written_schedule(table, SHORT, 2)
+        bus = written_bus(table, SHORT, schedule, 10, ARBITERS["wtod"])
+        frames = bus.transmissions(0, [18, 18])
+        assert {frame.node for frame in frames} == senders
+        assert bus.dynamic_room() == (2 if len(senders) == 2 else 0)
+
+
+def without_limit(slot: MessageSlot) -> MessageSlot:
+    return msgspec.structs.replace(slot, latest_transmission_minislot=None)

@@ -77,10 +77,16 @@ def test_numbers_that_are_no_time_or_level_are_counted(line: str):
 
 
 @pytest.mark.parametrize(
-    "text", ["\x7fELF\x02\n\x00\x01", "hello\nworld\n", "1,2.5\n2,1.3\n", "9\n"]
+    ("text", "named"),
+    [
+        ("\x7fELF\x02\n\x00\x01", "no 'time_ns,level'"),
+        ("hello\nworld\n", "no 'time_ns,level'"),
+        ("9\n", "no 'time_ns,level'"),
+        ("1,2.5\n2,1.3\n", "volts .* --threshold 1.9"),
+    ],
 )
-def test_other_files_are_refused(text: str):
-    with pytest.raises(WaveformError, match="no 'time_ns,level'"):
+def test_other_files_are_refused(text: str, named: str):
+    with pytest.raises(WaveformError, match=named):
         parse_csv(text)
 
 

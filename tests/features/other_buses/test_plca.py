@@ -3,12 +3,15 @@
 import random
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 from math import inf
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import concord as cc
 from concord.bus.arbitration import ARBITERS
 from concord.bus.bus import Captured, Rejected
 from concord.bus.schedule import full_publish, round_robin
@@ -21,7 +24,14 @@ from concord.features.other_buses.plca.cycle import (
 )
 from concord.features.other_buses.plca.ethernet import FRAMING, frame_bits, pack, unpack
 from concord.features.other_buses.plca.plca_bus import PlcaBus
+from concord.features.other_buses.plca.without_beacons import (
+    COLLISION_BITS,
+    SLOT_BITS,
+    contend,
+)
+from concord.scenarios.preparation import prepare
 from concord.scenarios.user.bus import broken_promises
+from concord.scenarios.warnings import warnings_of
 from tests.bus.support import long_division, quick
 
 timings = st.builds(PlcaSettings, st.integers(1, 255), st.integers(0, 3))
@@ -106,6 +116,9 @@ def by_tokens(timing: PlcaSettings, queues: Sequence[Sequence[int]]) -> list[tup
                 burst += 1
             if not burst:
                 now += timing.opportunity_bits
+            elif burst <= timing.burst_frames:
+                # The next frame could still come.
+                now += timing.burst_timer_bits
     return found
 
 
@@ -225,3 +238,69 @@ def test_more_nodes_than_plca_has_are_refused():
     assert bus_of(nodes=255).cycle_us > 0
     with pytest.raises(ValueError, match="PLCA has 255 node IDs; use fewer --nodes"):
         bus_of(nodes=256)
+
+
+# --- bursts and beacons ---------------------------------------------------------------------------
+
+
+def test_a_burst_that_is_not_full_is_waited_for():
+    """Four nodes with one frame each of a burst of four: 4 x 128 bit times of waiting."""
+    timing, payloads = PlcaSettings(burst_frames=3), [(46,)] * 4
+    end = walk(timing, payloads)[1]
+    assert end == walk(PlcaSettings(), payloads)[1] + 4 * 128 == 3220
+    assert longest_walk_bits(timing, 4, 4, (46,)) == 3220
+    # A full burst ends at once.
+    assert walk(timing, [(46,) * 4])[1] == 20 + 4 * (96 + frame_bits(46))
+
+
+def test_csma_cd_sends_one_alone_at_once_and_lets_two_draw():
+    assert contend([2], (46, 46), lambda *_: 0.0) == {2: 2 * (96 + frame_bits(46))}
+    ends = contend([1, 2], (46,), lambda node, _: 0.0 if node == 1 else 0.9)
+    first = 96 + COLLISION_BITS + 96 + frame_bits(46)
+    # The slot of the other is over while the first frame is on the medium.
+    assert ends == {1: first, 2: max(first, 96 + COLLISION_BITS + SLOT_BITS) + 96 + frame_bits(46)}
+    # Nodes that always draw alike give up.
+    assert contend([1, 2], (46,), lambda *_: 0.0) == {1: inf, 2: inf}
+
+
+@quick
+@given(st.integers(1, 12), st.integers(1, 3), st.integers(0, 2**32))
+def test_frames_of_csma_cd_never_overlap(nodes: int, frames: int, seed: int):
+    rng = random.Random(seed)
+    ends = contend(range(nodes), (46,) * frames, lambda *_: rng.random())
+    last = sorted(end for end in ends.values() if end < inf)
+    assert len(ends) == nodes
+    for earlier, later in pairwise(last):
+        assert later - earlier >= 96 + frame_bits(46)
+
+
+@pytest.mark.parametrize(
+    ("without_beacons", "sent"), [("csma-cd", range(11, 40)), ("silence", [10])]
+)
+def test_a_coordinator_that_dies_is_said_and_takes_the_beacons_along(without_beacons, sent):
+    scenario = cc.scenario(
+        "oscillator", nodes=4, steps=40, bus="plca", rounds=1, changes="10 kill 0",
+        without_beacons=without_beacons,
+    )  # fmt: skip
+    (warning,) = [one for one in warnings_of(prepare(scenario)) if "beacons" in one]
+    assert "node 0" in warning and "step 10" in warning and without_beacons in warning
+    runs = cc.simulate(scenario)
+    published = shares(runs)
+    assert published[0] == 10
+    assert all(count in sent for count in published[1:])
+
+
+def shares(runs) -> list[int]:
+    """Return how many shares each node sends."""
+    return (np.asarray(runs["payload_bytes"])[0] > 0).sum(axis=(0, 1)).tolist()
+
+
+def test_a_host_that_sends_no_frames_leaves_the_beacons():
+    plain, missing = (
+        cc.simulate(
+            cc.scenario("oscillator", nodes=4, steps=20, bus="plca", rounds=1, changes=changes)
+        )
+        for changes in ((), "5 missing 0 1")
+    )
+    for runs in (plain, missing):
+        assert shares(runs)[1:] == [20, 20, 20]

@@ -1,0 +1,1 @@
+"""Logs of frames: captures, tables of frames, and what they tell of a bus."""
