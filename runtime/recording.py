@@ -207,6 +207,14 @@ def whole_records(path: Path) -> Iterator[McapRecord]:
         raise ValueError(f"{path}: not a recording of concord ({error})") from None
 
 
+def is_closed(path: Path) -> bool:
+    """Say whether the writer of a recording has closed it in order."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - len(MCAP0_MAGIC)))
+        return size > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC
+
+
 def _whole_bytes(file: BufferedReader) -> int:
     """Length of the file up to its last whole record; the file is left at its beginning.
 

@@ -160,6 +160,8 @@ class Page:
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
+        # First, as a chart of another theme is hidden until its next data.
+        self._repaint(view.theme)
         frame = history.at(view.step)
         stage, past = frame.stage, history.until(frame.step, STEPS_BACK)
         events = [event for event in reversed(history.log) if event.step <= view.step]
@@ -192,7 +194,6 @@ class Page:
             if sample is not None:
                 self._attempt("Charts", lambda: self.charts.draw(sample))
                 self._attempt("One state", lambda: self._state_charts.draw(sample))
-        self._repaint(view.theme)
 
     def show(self, name: str, handle: Any, html: str) -> None:
         """Assign HTML to a panel unless the panel shows the same already."""
