@@ -161,7 +161,8 @@ def _forbidden(why: str) -> Response:
 
 
 def _is_worth_a_line(record: logging.LogRecord) -> bool:
-    """Drop the traceback of a connection that ends before it asks for anything."""
+    """Drop connections that end before they ask for anything; tell of others in one line."""
+    record.exc_info = record.exc_text = None
     return record.getMessage() != "opening handshake failed"
 
 

@@ -15,9 +15,19 @@ ALIVE = "/alive"
 _STYLE = """<style>
 /* The developers' panel of viser: an address of the server, tools that move the scene. */
 button:has(.tabler-icon-adjustments){display:none!important}
-.mantine-Text-root,label,.mantine-Tabs-tab{opacity:1!important}
-[data-mantine-color-scheme=dark] :is(label,.mantine-Tabs-tab,.mantine-InputWrapper-label){color:#c9ccd2!important}
-[data-mantine-color-scheme=light] :is(label,.mantine-Tabs-tab,.mantine-InputWrapper-label){color:#41464f!important}
+/* Contrast of labels and tabs: at least 4.5 to 1. */
+:is(label,.mantine-Tabs-tab){opacity:1!important}
+[data-mantine-color-scheme=dark] :is(label,.mantine-Tabs-tab){color:#c9ccd2!important}
+[data-mantine-color-scheme=light] :is(label,.mantine-Tabs-tab){color:#41464f!important}
+/* All charts but the first are small; a pointer there, or viser's larger picture, names lines. */
+body:not(:has(.u-over:hover,.bin:hover)) div:has(>.uplot-container)~div:has(>.uplot-container)
+.u-legend{display:none!important}
+/* Presenting: status, one chart and the bus, in letters one and a half times as large. */
+.present :is(.concord-side,.concord-about),
+.present .concord-controls>:not(:has(.concord-status)),
+.present div:has(>.uplot-container)~div:has(>.uplot-container){display:none!important}
+.present :is(.concord-status,.uplot-container){zoom:1.5}
+.present [data-testid=timeline] text{font-size:16px}
 .uplot-container .u-title{min-width:200px}
 .mantine-Notification-root{max-width:340px}
 .mantine-Notification-description{max-height:5.5em;overflow:auto}
@@ -29,11 +39,23 @@ padding:10px 16px;font:600 15px system-ui,sans-serif;text-align:center}
 </style>"""
 
 _SCRIPT = """<script>(()=>{
-const loading=document.getElementById('concord-loading'),gone=document.getElementById('concord-gone');
+const [loading,gone]=['loading','gone'].map(id=>document.getElementById('concord-'+id));
 let heard=Date.now(),wasGone=false;
 const look=()=>{
   const told=[...document.querySelectorAll('.concord-told')].pop();
   if(told){loading.remove();document.title=told.dataset.title}
+  const presents=!!document.querySelector('.concord-present');
+  document.body.classList.toggle('present',presents);
+  document.querySelectorAll('.concord-side').forEach(e=>e.classList.remove('concord-side'));
+  if(presents)document.querySelectorAll('[role=tab]').forEach(tab=>{
+    if(!/Nodes|Beliefs/.test(tab.textContent))return;
+    let panel=tab;
+    while(panel&&!/absolute|fixed/.test(getComputedStyle(panel).position))panel=panel.parentElement;
+    if(panel&&panel.id!=='root'&&!panel.querySelector('.uplot-container,canvas,.concord-status'))
+      panel.classList.add('concord-side')});
+  let part=document.querySelector('.concord-status');
+  while(part&&part.parentElement.childElementCount<2)part=part.parentElement;
+  part?.parentElement.classList.add('concord-controls');
   document.querySelectorAll('button:not([aria-label])').forEach(b=>{
     if(!b.textContent.trim())b.setAttribute('aria-label',
       b.querySelector('.tabler-icon-search,.tabler-icon-command')?'commands and keys':'panel')});

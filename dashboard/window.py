@@ -51,6 +51,8 @@ class PageServer:
         self._scene: Scene | None = None
         self._target: np.ndarray | None = None
         self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
+        self._sizes: WeakKeyDictionary[viser.ClientHandle, tuple[int, int]] = WeakKeyDictionary()
+        self._presenting: WeakKeyDictionary[viser.ClientHandle, Any] = WeakKeyDictionary()
         self._aims: WeakKeyDictionary[viser.ClientHandle, Camera] = WeakKeyDictionary()
 
     @property
@@ -86,9 +88,12 @@ class PageServer:
         self._scene = scene
 
         def arrange(client: viser.ClientHandle, width: int, height: int) -> None:
-            self._free[client] = panels.arrange(client, width, height)
+            self._sizes[client] = width, height
+            presents = client in self._presenting
+            self._free[client] = panels.arrange(client, width, height, presents)
             self._aim_first(client)
 
+        self._arrange = arrange
         # A small window minimizes the column of the controls, and a phone all but that column.
         Viewports(self.server.gui, (nullcontext(), panels.bus), arrange)
         # Before a client has told of its camera, the camera cannot be turned.
@@ -101,6 +106,24 @@ class PageServer:
         with contextlib.suppress(AssertionError):
             if client not in self._aims or _stands(client, self._aims[client]):
                 self._turn(client, aimed(self._scene.extent(), self._free[client]))
+
+    def restore(self, client: viser.ClientHandle) -> None:
+        """Put all panels of a client where they were at first, and aim its camera."""
+        if client in self._sizes:
+            self._arrange(client, *self._sizes[client])
+            self.fit(client)
+
+    def present(self, client: viser.ClientHandle) -> None:
+        """Show a client the scene, the bus, one chart and the verdict in large letters, without
+        controls; or the whole page again."""
+        style = self._presenting.pop(client, None)
+        if style is not None:
+            style.remove()
+        else:
+            # The shell of the page looks for this mark.
+            mark = '<i class="concord-present" hidden></i>'
+            self._presenting[client] = client.gui.add_html(mark)
+        self.restore(client)
 
     def fit(self, client: viser.ClientHandle) -> None:
         """Aim a client's camera at all that the scene shows now, also outside of the map."""

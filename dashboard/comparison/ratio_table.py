@@ -4,8 +4,8 @@ from html import escape
 
 import numpy as np
 
-from concord.dashboard.digits import rounded
 from concord.dashboard.comparison.other_run import OtherRun, PairedScores, RatioInterval, batched
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.theme import Theme, css
 

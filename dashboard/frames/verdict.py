@@ -81,9 +81,7 @@ def health(frame: StepFrame) -> str:
         (words.count(DOWN), "node{s} down"),
         (words.count(STALE), "stale"),
     )
-    return ", ".join(
-        f"{count} {of.format(s='s' * (count > 1))}" for count, of in counts if count
-    )
+    return ", ".join(f"{count} {of.format(s='s' * (count > 1))}" for count, of in counts if count)
 
 
 def _of_sets(frame: StepFrame) -> RunVerdict:

@@ -39,6 +39,7 @@ _BEGINNING = (
     '<div style="padding:10px 14px;font-size:12px;opacity:.7">'
     "The charts begin with the second step that this page receives.</div>"
 )
+_LEAST_WITH_TIME = 100
 # A distance of so many usual ones between two points is a gap; a title names a line that has missed
 # so many points.
 _GAP, _MISSED = 3.0, 10
@@ -93,6 +94,9 @@ class Plot:
         line: Any = {"stroke": css(self._theme.faint), "width": 1}
         ticks: Any = {**line, "size": 4}
         named: Any = {"label": "time [s]", "labelSize": 14, "labelGap": 0, "labelFont": _FONT}
+        if self._height < _LEAST_WITH_TIME:
+            # The first chart names the times of all.
+            named = {}
         across, up = (
             uplot.Axis(
                 size=size, space=space, gap=3, stroke=css(self._theme.quiet), grid=line,
@@ -281,9 +285,11 @@ class Charts:
         charts: Sequence[Chart],
         theme: Theme,
         height: int,
+        small_height: int | None = None,
     ) -> None:
+        """Make the first chart `height` pixels high, and the others `small_height`."""
         self._plots = [
-            Plot(gui, container, chart, theme, height, place)
+            Plot(gui, container, chart, theme, (small_height if place > 1 else 0) or height, place)
             for place, chart in enumerate(charts, 1)
         ]
         with container:
@@ -308,6 +314,7 @@ class Charts:
 
 def sampled(stage: Stage, view: View, history: FrameHistory, expectation: Expectation) -> Sample:
     """Return all steps up to the shown one, thinned to `MOST_POINTS`."""
-    frames = history.sampled(view.step, MOST_POINTS)
+    window = round(view.window_s / stage.setup.time_step_s) if view.window_s else len(history)
+    frames = history.sampled(view.step, MOST_POINTS, max(2, window))
     times = np.array([frame.time_s for frame in frames])
     return Sample(stage, view, frames, times, expectation(times))

@@ -50,6 +50,7 @@ class LoopButtons:
 _MOST_STEPS_PER_S, _MOST_SPEED = 100, 16.0
 _SPEED_HINT = "1 is as fast as the plant"
 
+
 class Controls:
     """The widgets of the left panel; `network` and `node` are None on a page without commands."""
 

@@ -36,7 +36,7 @@ class ExportButtons:
     def __init__(self, gui: viser.GuiApi, shown: Callable[[], Shown], folder: Path | None) -> None:
         self._shown, self._folder = shown, folder
         icon = viser.Icon
-        with gui.add_folder("Export"):
+        with gui.add_folder("Export", expand_by_default=False):
             self.picture: Any = gui.add_button("Scene (.png)", color=QUIET_BUTTON, icon=icon.CAMERA)
             self.scene: Any = gui.add_button("Run (.html)", color=QUIET_BUTTON, icon=icon.MOVIE)
             self.charts: Any = gui.add_button(

@@ -8,7 +8,7 @@ import numpy as np
 from concord.dashboard.digits import rounded
 from concord.dashboard.explain.help import HEADINGS
 from concord.dashboard.explain.tooltips import chart_meanings
-from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
+from concord.dashboard.frames.conditions import BLIND, DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.frames.verdict import RunVerdict, health
@@ -34,6 +34,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     share = 10.0**-power
     cells = []
     for node in rows:
+        colour = theme.quiet if words[node] == BLIND else colour_of(theme, words[node])
         marked = f"background:{css(theme.faint)};" if node == view.selected else ""
         if node == view.hovered and node != view.selected:
             marked = f"background:{css(theme.faint, 0.5)};"
@@ -48,7 +49,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         cells.append(
             f'<tr data-node="{node}" tabindex="0" data-state="{words[node]}" style="{marked}">'
             f'<td title="{escape(stage.names[node])}" style="text-align:left"><span style="color:'
-            f'{css(colour_of(theme, words[node]))}">{MARKS[words[node]]}</span> '
+            f'{css(colour)}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
             f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
@@ -190,8 +191,10 @@ def status(
     rounds = f"{scenario.rounds} round{'s' * (scenario.rounds != 1)}"
     about = f"{name}, {graph}, {rule}, {rounds}"
     return (
-        f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
-        f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'
+        f'<div class="concord-status" style="font-size:12.5px;color:{css(theme.text)};'
+        f'padding:4px 12px">{pill}'
+        f'<div class="concord-about" style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">'
+        f"{about}</div>"
         f"{lines}{failed}</div>"
     )
 

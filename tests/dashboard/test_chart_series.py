@@ -77,7 +77,9 @@ def received(
     view = View(step=STEPS - 1, selected=NODE)
     Charts(gui, Nowhere(), charts, DARK, 80).draw(sampled(stage, view, history, nothing_expected))
     return {
-        plot.title: {one["label"]: values for one, values in zip(plot.series, plot.data, strict=True)}
+        plot.title: {
+            one["label"]: values for one, values in zip(plot.series, plot.data, strict=True)
+        }
         for plot in gui.plots
     }
 
