@@ -60,7 +60,7 @@ class Dashboard:
         self.controls = Controls(
             gui, self.inputs, source, self.view, self._window.tell, self.history, self._window.fit
         )
-        ExportButtons(gui, self._shown, folder)
+        ExportButtons(gui, self._shown, folder, self._window.free)
         self.failures = PanelFailures()
         self.page = Page(
             self._window, self.inputs, self.stage, self.view, self.failures, self.history, other
@@ -161,6 +161,7 @@ class Dashboard:
             self._stale = not panels_due
             self._magnify(self.history.at(self.view.step))
             self.page.draw_scene(self.view, self.history)
+            self._window.keep_in_sight(self.page.scene.target)
             self._window.follow(self.page.scene.target if self.view.follow_target else None)
             if panels_due:
                 self._next_panel_s = now_s + 1 / _PANEL_HZ

@@ -27,7 +27,7 @@ body:not(:has(.u-over:hover,.bin:hover)) div:has(>.uplot-container)~div:has(>.up
 .present .concord-controls>:not(:has(.concord-status)),
 .present div:has(>.uplot-container)~div:has(>.uplot-container){display:none!important}
 .present :is(.concord-status,.uplot-container){zoom:1.5}
-.present [data-testid=timeline] text{font-size:16px}
+.present [data-testid=timeline] text{font-size:16px!important}
 .uplot-container .u-title{min-width:200px}
 .mantine-Notification-root{max-width:340px}
 .mantine-Notification-description{max-height:5.5em;overflow:auto}

@@ -23,6 +23,7 @@ from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import Theme
 from concord.dashboard.viewport import Viewports
 
+_AIR = 0.15
 _FIRST_SIZE = (1600, 900)
 
 
@@ -50,6 +51,8 @@ class PageServer:
         self.label("concord")
         self._scene: Scene | None = None
         self._target: np.ndarray | None = None
+        # The places of the target so far, as corners of a box in the scene.
+        self._course = np.zeros((0, 3))
         self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
         self._sizes: WeakKeyDictionary[viser.ClientHandle, tuple[int, int]] = WeakKeyDictionary()
         self._presenting: WeakKeyDictionary[viser.ClientHandle, Any] = WeakKeyDictionary()
@@ -105,7 +108,28 @@ class PageServer:
             return
         with contextlib.suppress(AssertionError):
             if client not in self._aims or _stands(client, self._aims[client]):
-                self._turn(client, aimed(self._scene.extent(), self._free[client]))
+                self._turn(client, aimed(self._whole(self._scene), self._free[client]))
+
+    def _whole(self, scene: Scene) -> np.ndarray:
+        return np.concatenate([scene.extent(), self._course])
+
+    def keep_in_sight(self, target: np.ndarray | None) -> None:
+        """Aim the cameras again that no user has turned, where the target (3,) leaves the map."""
+        if self._scene is None or target is None or not np.isfinite(target).all():
+            return
+        points = self._whole(self._scene)
+        low, high = points.min(axis=0), points.max(axis=0)
+        if ((low <= target) & (target <= high))[:2].all():
+            return
+        # Some air, so that the next steps do not move the cameras again.
+        away = _AIR * (target - (low + high) / 2)
+        self._course = np.concatenate([self._course[-50:], [target, target + away * [1, 1, 0]]])
+        for client in self.server.get_clients().values():
+            self._aim_first(client)
+
+    def free(self, client: viser.ClientHandle) -> Free | None:
+        """Return the part of a client's window that its panels leave to the scene, if known."""
+        return self._free.get(client)
 
     def restore(self, client: viser.ClientHandle) -> None:
         """Put all panels of a client where they were at first, and aim its camera."""
