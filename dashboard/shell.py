@@ -64,9 +64,11 @@ const since=()=>`No connection to concord since ${new Date(heard).toLocaleTimeSt
   `(${Math.round((Date.now()-heard)/1000)} s). The picture stands still. `+
   'Start concord again; where it has the same address, this page loads by itself.';
 const ask=()=>fetch('/alive',{cache:'no-store',signal:AbortSignal.timeout(4000)}).then(answer=>{
+  // A program that was only busy keeps the page as it is.
   if(wasGone&&answer.ok)location.reload();
-  if(answer.ok){heard=Date.now();gone.hidden=true}},()=>{}).then(()=>{
-  if(Date.now()-heard>5000){wasGone=true;gone.hidden=false;gone.textContent=since()}});
+  if(answer.ok){heard=Date.now();gone.hidden=true}},
+  error=>{wasGone||=error.name==='TypeError'}).then(()=>{
+  if(Date.now()-heard>8000){gone.hidden=false;gone.textContent=since()}});
 setInterval(look,400);setInterval(ask,1500);
 document.addEventListener('keydown',e=>{
   const at=e.target.closest?.('[data-node][tabindex]');

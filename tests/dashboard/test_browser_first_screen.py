@@ -10,8 +10,7 @@ from tests.dashboard.browser_page import Page, recorded
 pytestmark = pytest.mark.browser
 
 _SEEN = """const seen=e=>{const r=e.getBoundingClientRect(),s=getComputedStyle(e);
-return r.width>1&&r.height>1&&s.visibility!=='hidden'&&r.bottom>0&&r.top<innerHeight&&r.right>0
-&&r.left<innerWidth};"""
+return r.width>1&&r.height>1&&s.visibility!=='hidden'};"""
 _CONTROLS = (
     "()=>{" + _SEEN + "return [...document.querySelectorAll('button,input,select,textarea')]"
     ".filter(seen).length}"
