@@ -47,7 +47,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         )  # fmt: skip
         age = "-" if ages[node] < 0 else str(ages[node])
         cells.append(
-            f'<tr data-node="{node}" tabindex="0" data-state="{words[node]}" style="{marked}">'
+            f'<tr data-node="{node}" data-state="{words[node]}" tabindex="0" style="{marked}">'
             f'<td title="{escape(stage.names[node])}" style="text-align:left"><span style="color:'
             f'{css(colour)}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
@@ -184,12 +184,11 @@ def status(
     )
     pill += _verdict(theme, frame, state == "PAUSED", judged)
     failed += _waiting(waiting)
-    name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = scenario.network.graph, scenario.rule.name
     graph = f"{len(stage.edges)} links" if graph.startswith("edges:") else escape(graph)
     rounds = f"{scenario.rounds} round{'s' * (scenario.rounds != 1)}"
-    about = f"{name}, {graph}, {rule}, {rounds}"
+    about = f"{escape(scenario.name)}, {graph}, {rule}, {rounds}"
     return (
         f'<div class="concord-status" style="font-size:12.5px;color:{css(theme.text)};'
         f'padding:4px 12px">{pill}'

@@ -120,7 +120,7 @@ def _follow_launcher(
             page.controls.offer_again(lambda: _tell_launcher(RUN_AGAIN))
             source.end("the run is over" if folder is None else f"results in {folder}")
         elif line.encode() == NETWORK_IS_GONE:
-            step = page.history.last_step
+            step = source.pace().completed - 1
             source.end(f"network gone at step {step}; `concord collect {folder}` shows what came")
     gone.set()
 

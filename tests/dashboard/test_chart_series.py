@@ -8,7 +8,6 @@ from typing import Any
 import h5netcdf
 import numpy as np
 import pytest
-import viser
 
 from concord.dashboard.comparison.compared_charts import compared_charts
 from concord.dashboard.comparison.other_run import OtherRun, running_mean
@@ -181,16 +180,3 @@ def test_the_difference_of_two_runs_is_known_where_both_are_and_has_a_band_later
     equal(lines["mean so far"], mean, steps)
     equal(lines["95 % from"], low, steps)
     assert None in lines["95 % from"]
-
-
-def test_the_plots_of_viser_take_the_gaps():
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
-        plot: Any = server.gui.add_uplot(
-            (np.zeros(2), np.zeros(2)),
-            series=({}, {}),  # pyright: ignore[reportArgumentType]
-        )
-        plot.data = [[0.0, 1.0, 2.0], [1.0, None, 2.0]]
-        assert plot.data == [[0.0, 1.0, 2.0], [1.0, None, 2.0]]
-    finally:
-        server.stop()
