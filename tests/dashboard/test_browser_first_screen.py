@@ -44,7 +44,8 @@ def test_the_first_screen_has_few_controls_and_few_words(
     page: Page, width: int, height: int, record_property: Callable[[str, object], None]
 ):
     page.page.set_viewport_size({"width": width, "height": height})
-    page.until(lambda: len(page.chart_points()) > 0)
+    page.dashboard.inputs.alter(lambda view: view.look_at(33))
+    page.until(lambda: page.page.locator(".uplot-container").count() >= 5)
     page.page.wait_for_timeout(1500)
     counts = page.page.evaluate(_CONTROLS), page.page.evaluate(_WORDS)
     record_property(f"controls and words at {width}x{height}", counts)
