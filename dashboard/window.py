@@ -123,7 +123,9 @@ class PageServer:
             return
         # Some air, so that the next steps do not move the cameras again.
         away = _AIR * (target - (low + high) / 2)
-        self._course = np.concatenate([self._course[-50:], [target, target + away * [1, 1, 0]]])
+        self._course = np.concatenate(
+            [self._course[-50:], [target, target + away * np.array([1, 1, 0])]]
+        )
         for client in self.server.get_clients().values():
             self._aim_first(client)
 
