@@ -31,7 +31,8 @@ def all_of(source: RecordedSource) -> list[StepFrame]:
 
 def old(file: Path) -> Path:
     """Return a file that was written to long ago."""
-    os.utime(file, (time.time() - 3600,) * 2)
+    long_ago_s = time.time() - 3600
+    os.utime(file, (long_ago_s, long_ago_s))
     return file
 
 
