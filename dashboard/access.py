@@ -21,6 +21,8 @@ from websockets.asyncio import server as websocket_server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from concord.dashboard.shell import ALIVE, with_shell
+
 Answer = Callable[[Any, Request], Response | None]
 """(connection, request): the response, or None where a websocket handshake goes on."""
 
@@ -94,8 +96,11 @@ class PageAccess:
             refusal = self.refusal(request)
             if refusal is not None:
                 return _forbidden(refusal)
+            if request.path == ALIVE:
+                return Response(http.HTTPStatus.NO_CONTENT, "No Content", Headers())
             response = answer(connection, request)
             if response is not None:
+                response = with_shell(response)
                 response.headers.update(_PAGE_HEADERS)
                 response.headers["Set-Cookie"] = (
                     f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
@@ -176,7 +181,8 @@ def _forbidden(why: str) -> Response:
 
 
 def _is_worth_a_line(record: logging.LogRecord) -> bool:
-    """Drop the traceback of a connection that ends before it asks for anything."""
+    """Drop connections that end before they ask for anything; tell of others in one line."""
+    record.exc_info = record.exc_text = None
     return record.getMessage() != "opening handshake failed"
 
 

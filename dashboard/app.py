@@ -19,7 +19,7 @@ from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
-from concord.dashboard.frames.source import Source
+from concord.dashboard.frames.source import Source, SourceState
 from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.frames.verdict import STEPS, RunVerdict, verdict
 from concord.dashboard.inputs import Inputs
@@ -50,6 +50,7 @@ class Dashboard:
         self.view = first_view(self.stage, theme, source.live)
         self.history = FrameHistory(self.stage)
         self._changed = Flag()
+        self._name = self.stage.setup.scenario.name if folder is None else folder.name
         self._next_scene_s = self._next_panel_s = self._last_s = 0.0
         self._stale = True
         self._window = PageServer(host, port)
@@ -59,7 +60,7 @@ class Dashboard:
         self.controls = Controls(
             gui, self.inputs, source, self.view, self._window.tell, self.history, self._window.fit
         )
-        ExportButtons(gui, self._shown, folder)
+        ExportButtons(gui, self._shown, folder, self._window.free)
         self.failures = PanelFailures()
         self.page = Page(
             self._window, self.inputs, self.stage, self.view, self.failures, self.history, other
@@ -101,6 +102,8 @@ class Dashboard:
         bind("Select the next node", "J", lambda _: self._select_next(1))
         bind("Select the node before", "K", lambda _: self._select_next(-1))
         bind("Select no node", "X", lambda _: self.inputs.select(None))
+        bind("Present: large letters, no controls", "F", self._window.present)
+        bind("Restore the layout", "L", self._window.restore)
         bind("Dark or light", "D", lambda _: self._toggle_theme())
 
     def _select_next(self, by: int) -> None:
@@ -158,6 +161,7 @@ class Dashboard:
             self._stale = not panels_due
             self._magnify(self.history.at(self.view.step))
             self.page.draw_scene(self.view, self.history)
+            self._window.keep_in_sight(self.page.scene.target)
             self._window.follow(self.page.scene.target if self.view.follow_target else None)
             if panels_due:
                 self._next_panel_s = now_s + 1 / _PANEL_HZ
@@ -204,7 +208,8 @@ class Dashboard:
             detail = f"{detail}; until {until}"
             state = "RUNNING" if state == "PAUSED" else state
         if state == "RECORDED":
-            state = "RUNNING" if self.view.playing else "PAUSED"
+            state = f"RECORDED {self._name}"
+        mode = mode_of(self.view, pace, self.history, self.source.live)
         waiting = self.controls.show_state(pace, self.view.playing)
         if (hand := self._hand) is not None:
             pending = self.controls.commands.pending(pace)
@@ -213,8 +218,12 @@ class Dashboard:
         # A factor after the word has no room beside viser's buttons.
         self._window.label("concord" if judged is None else judged.word.partition(" ")[0])
         failures = self.failures.sentences()
-        html = status(self.stage, self.view.theme, frame, state, detail, failures, waiting, judged)
+        html = status(
+            self.stage, self.view.theme, frame, state, detail, failures, waiting, judged, mode
+        )
         self.page.show("status", self.controls.status, html)
+        if frame is not None:
+            self.page.tell_title(f"{self._name}, step {frame.step}")
 
     def _judge(self) -> RunVerdict:
         frames = self.history.until(self.view.step, STEPS)
@@ -225,6 +234,21 @@ class Dashboard:
         self.controls.close()
         self.source.close()
         self.server.stop()
+
+
+def mode_of(view: View, pace: SourceState, history: FrameHistory, live: bool) -> str:
+    """Return how the shown step moves: paused, playing, following, or where it stands beside a
+    network that goes on."""
+    newest = history.last_step
+    if live and pace.state != "ENDED":
+        if not view.follow:
+            return f"showing {view.step}, live is {newest}"
+        return "following" if pace.state == "RUNNING" else ""
+    if view.playing:
+        return "playing"
+    if view.follow and pace.state == "LOADING":
+        return "following"
+    return "paused"
 
 
 def first_view(stage: Stage, theme: Theme, live: bool) -> View:

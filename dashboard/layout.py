@@ -32,7 +32,7 @@ class Panels(NamedTuple):
     zoom: Any
     states: Any
     ratios: Any
-    arrange: Callable[[viser.ClientHandle, int, int], Free]
+    arrange: Callable[[viser.ClientHandle, int, int, bool], Free]
 
 
 class Columns(NamedTuple):
@@ -74,20 +74,20 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
     order = sorted(corner, reverse=states_first)
     tabs = {name: zoom_panel.add_tab(name, corner[name]) for name in order}
 
-    def arrange(client: viser.ClientHandle, width: int, height: int) -> Free:
+    def arrange(client: viser.ClientHandle, width: int, height: int, presents: bool) -> Free:
         """Fit the panels into a client's window of that size in pixels; return the part of the
         window that they leave to the scene."""
         if width < PHONE_WIDTH:
             # The column covers the lower three fifths once it is opened.
             return Free(width, height, _MARGIN, _MARGIN, width - _MARGIN, 0.4 * height - _MARGIN)
-        columns = dock_columns(client, width, upper, lower)
+        columns = dock_columns(client, width, upper, lower, presents)
         canvas = max(width - columns.left - columns.right - _DOCK, 360)
-        bus_height = round(canvas * 0.23) + 112
+        bus_height = round(canvas * 0.23) + (150 if presents else 112)
         place_of(client, bus_panel).float(x=8, y=-8, width=canvas - 10, height=bus_height)
         size = columns.zoom
         corner_panel = place_of(client, zoom_panel)
         corner_panel.float(x=-8, y=8, width=size, height=size + 100)
-        if width < SMALL_WIDTH:
+        if width < SMALL_WIDTH or presents:
             corner_panel.minimize()
             covered = _MARGIN
         else:
@@ -103,22 +103,35 @@ def lay_out(server: viser.ViserServer, states_first: bool, is_compared: bool = F
 
 
 def dock_columns(
-    client: viser.ClientHandle, width: int, upper: viser.PanelHandle, lower: viser.PanelHandle
+    client: viser.ClientHandle,
+    width: int,
+    upper: viser.PanelHandle,
+    lower: viser.PanelHandle,
+    presents: bool = False,
 ) -> Columns:
     """Dock the controls left, and two panels right, in a window of so many pixels."""
     columns = columns_for(width)
+    if presents:
+        columns = Columns(290, 390, columns.zoom)
     main, right = client.gui.main_panel, place_of(client, upper)
     main.dock_left()
-    if width < SMALL_WIDTH:
+    if width < SMALL_WIDTH and not presents:
         main.minimize()
     else:
         main.expand()
         main.set_width(columns.left)
     right.dock_right()
     right.set_width(columns.right)
-    place_of(client, lower)._set_position(
-        {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
-    )
+    beside = place_of(client, lower)
+    if presents:
+        # Floating: a docked one that is minimized takes the charts with it.
+        beside.float(x=8, y=8)
+        beside.minimize()
+    else:
+        beside.expand()
+        beside._set_position(
+            {"kind": "split", "anchor_uuid": upper._placement_uuid, "side": "below"}
+        )
     return columns
 
 

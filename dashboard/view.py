@@ -6,6 +6,7 @@ from threading import RLock
 from concord.dashboard.theme import DARK, Theme
 
 ELLIPSES = ("selected", "all", "none")
+WINDOWS_S = {"all": 0.0, "last 30 s": 30.0, "last 120 s": 120.0}
 ORDERS = ("number", "error", "age")
 
 # Above these a picture with everything in it says nothing any more.
@@ -24,6 +25,7 @@ class View:
         magnify: how much larger than the network errors and ellipses are drawn; `is_automatic`
             lets it follow the errors.
         follow_target: the cameras move with the target.
+        window_s: how much of the time before the shown step the charts have; 0 is all.
         pair: the two states of the zoomed picture; `state` that of the chart.
     """
 
@@ -44,6 +46,7 @@ class View:
     sight_range: bool = True
     labels: bool = True
     order: str = "number"
+    window_s: float = 0.0
     pair: tuple[int, int] = (0, 1)
     state: int = 0
     lock: RLock = field(default_factory=RLock, repr=False)

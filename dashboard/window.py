@@ -23,6 +23,7 @@ from concord.dashboard.scene.scene import Scene
 from concord.dashboard.theme import Theme
 from concord.dashboard.viewport import Viewports
 
+_AIR = 0.15
 _FIRST_SIZE = (1600, 900)
 
 
@@ -50,7 +51,11 @@ class PageServer:
         self.label("concord")
         self._scene: Scene | None = None
         self._target: np.ndarray | None = None
+        # The places of the target so far, as corners of a box in the scene.
+        self._course = np.zeros((0, 3))
         self._free: WeakKeyDictionary[viser.ClientHandle, Free] = WeakKeyDictionary()
+        self._sizes: WeakKeyDictionary[viser.ClientHandle, tuple[int, int]] = WeakKeyDictionary()
+        self._presenting: WeakKeyDictionary[viser.ClientHandle, Any] = WeakKeyDictionary()
         self._aims: WeakKeyDictionary[viser.ClientHandle, Camera] = WeakKeyDictionary()
 
     @property
@@ -86,9 +91,12 @@ class PageServer:
         self._scene = scene
 
         def arrange(client: viser.ClientHandle, width: int, height: int) -> None:
-            self._free[client] = panels.arrange(client, width, height)
+            self._sizes[client] = width, height
+            presents = client in self._presenting
+            self._free[client] = panels.arrange(client, width, height, presents)
             self._aim_first(client)
 
+        self._arrange = arrange
         # A small window minimizes the column of the controls, and a phone all but that column.
         Viewports(self.server.gui, (nullcontext(), panels.bus), arrange)
         # Before a client has told of its camera, the camera cannot be turned.
@@ -100,7 +108,48 @@ class PageServer:
             return
         with contextlib.suppress(AssertionError):
             if client not in self._aims or _stands(client, self._aims[client]):
-                self._turn(client, aimed(self._scene.extent(), self._free[client]))
+                self._turn(client, aimed(self._whole(self._scene), self._free[client]))
+
+    def _whole(self, scene: Scene) -> np.ndarray:
+        return np.concatenate([scene.extent(), self._course])
+
+    def keep_in_sight(self, target: np.ndarray | None) -> None:
+        """Aim the cameras again that no user has turned, where the target (3,) leaves the map."""
+        if self._scene is None or target is None or not np.isfinite(target).all():
+            return
+        points = self._whole(self._scene)
+        low, high = points.min(axis=0), points.max(axis=0)
+        if ((low <= target) & (target <= high))[:2].all():
+            return
+        # Some air, so that the next steps do not move the cameras again.
+        away = _AIR * (target - (low + high) / 2)
+        self._course = np.concatenate(
+            [self._course[-50:], [target, target + away * np.array([1, 1, 0])]]
+        )
+        for client in self.server.get_clients().values():
+            self._aim_first(client)
+
+    def free(self, client: viser.ClientHandle) -> Free | None:
+        """Return the part of a client's window that its panels leave to the scene, if known."""
+        return self._free.get(client)
+
+    def restore(self, client: viser.ClientHandle) -> None:
+        """Put all panels of a client where they were at first, and aim its camera."""
+        if client in self._sizes:
+            self._arrange(client, *self._sizes[client])
+            self.fit(client)
+
+    def present(self, client: viser.ClientHandle) -> None:
+        """Show a client the scene, the bus, one chart and the verdict in large letters, without
+        controls; or the whole page again."""
+        style = self._presenting.pop(client, None)
+        if style is not None:
+            style.remove()
+        else:
+            # The shell of the page looks for this mark.
+            mark = '<i class="concord-present" hidden></i>'
+            self._presenting[client] = client.gui.add_html(mark)
+        self.restore(client)
 
     def fit(self, client: viser.ClientHandle) -> None:
         """Aim a client's camera at all that the scene shows now, also outside of the map."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from concord.dashboard.sweeps.swept import CellQuantity, SweptCells
 from concord.experiments.page_options import PageOptions
+from concord.results.figures.intervals import ratio_t
 from concord.results.folder import (
     describe,
     read_description,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from concord.dashboard.app import Dashboard
 
+_LEAST_PAIRS = 2
 UP = "RMSE, × centralised"
 """The figure that the page shows at first."""
 _FIGURES: tuple[tuple[str, str, float | None], ...] = (
@@ -64,6 +66,7 @@ def swept_of(dataset: "xarray.Dataset", name: str) -> SweptCells:
     rmse = np.array([
         one.values("rmse") if one.has_runs("rmse") else np.full(len(runs), np.nan) for one in data
     ])  # fmt: skip
+    quantities += _beside_best(rmse)
     errors = {
         "nodes": np.array([one.rms("error") for one in data]),
         "centralised": np.array([one.rms("error_centralised") for one in data]),
@@ -84,6 +87,16 @@ def swept_of(dataset: "xarray.Dataset", name: str) -> SweptCells:
         times=dataset["time"].to_numpy() if "time" in dataset.coords else steps,
         errors=errors,
     )
+
+
+def _beside_best(rmse: np.ndarray) -> tuple[CellQuantity, ...]:
+    """Return the RMSE of each cell (C, R) over that of the best, in pairs of equal noise."""
+    if not np.isfinite(rmse).all() or rmse.shape[1] < _LEAST_PAIRS or len(rmse) < _LEAST_PAIRS:
+        return ()
+    squares = rmse**2
+    best = squares[np.argmin(squares.mean(1))]
+    intervals = [ratio_t(cell, best) for cell in squares]
+    return (CellQuantity("RMSE, × best, paired", np.array(intervals), 1.0),)
 
 
 class RunPages:

@@ -2,8 +2,8 @@
 
 The network waits for the first user of the page, for a limited time, so that the user sees the
 beginning. The launcher writes the token of the page to its standard input, and `RUN_IS_OVER` when
-the run is over. The page writes its port to its standard output, and `RUN_AGAIN` when the user
-presses that button.
+the run is over, or `NETWORK_IS_GONE`. The page writes its port to its standard output, and
+`RUN_AGAIN` when the user presses that button.
 """
 
 import queue
@@ -19,9 +19,11 @@ from concord.nodes.commands import Pause
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import read_network
 
-RUN_IS_OVER, RUN_AGAIN = b"over\n", b"again\n"
+RUN_IS_OVER, NETWORK_IS_GONE, RUN_AGAIN = b"over\n", b"gone\n", b"again\n"
 PORT = b"port "
 _END_S = 5.0
+# A launcher whose terminal nobody looks at ends as well.
+_OUTLIVES_S = 3600.0
 # How often the launcher looks whether it is to end.
 _LOOK_S = 0.5
 
@@ -99,6 +101,14 @@ class PageProcess:
         """Have the page say that the run is over."""
         if self._process is not None:
             self._tell(RUN_IS_OVER)
+
+    def outlive_network(self) -> None:
+        """Have the page say that its network is gone, and keep it until Ctrl-C."""
+        if self._process is not None and self._process.poll() is None:
+            self._tell(NETWORK_IS_GONE)
+            sys.stderr.write("the network is gone; its page stays until Ctrl-C\n")
+            with suppress(KeyboardInterrupt, subprocess.TimeoutExpired):
+                self._process.wait(_OUTLIVES_S)
 
     def stay(self) -> bool:
         """Wait until the user presses Ctrl-C or the page has ended; return True as soon as the user

@@ -18,6 +18,8 @@ from concord.nodes.messages import MalformedMessage, decode
 
 # A bound on memory alone: in lockstep an event tells of each node that is gone.
 _LONGEST_WAIT_STEPS = 1000
+# A process that spoke so few steps before the end of a recording had not left.
+_STILL_THERE_STEPS = 8
 
 
 class WholeStep(NamedTuple):
@@ -83,6 +85,8 @@ class WholeSteps:
         self._next, self._reached = 0, 0
         self._longest_wait_steps = longest_wait_steps
         self._latest = [-1] * nodes
+        self.torn_step: int | None = None
+        """The step within which the messages end; known after `rest`."""
 
     def take(self, topic: str, data: bytes) -> list[WholeStep]:
         """Take one message; return the steps over now. Ignore bytes that are no message."""
@@ -119,9 +123,20 @@ class WholeSteps:
         return self._over()
 
     def rest(self) -> list[WholeStep]:
-        """Nothing more will be said: the steps that were waited for."""
+        """Nothing more will be said: return the steps that were waited for, up to a torn one."""
+        self.torn_step = min(filter(self._is_torn, self._steps), default=None)
+        if self.torn_step is not None:
+            self._steps = {n: step for n, step in self._steps.items() if n < self.torn_step}
         self._longest_wait_steps = -1
         return self._over()
+
+    def _is_torn(self, number: int) -> bool:
+        """Say whether the recording ends within a step: a process that was there is missing."""
+        step = self._steps[number]
+        missing = step.members - step.estimated
+        lately = max(self._latest) - _STILL_THERE_STEPS
+        is_cut_off = any(self._latest[node] >= lately for node in missing)
+        return is_cut_off or not (step.has_truth or step.is_left)
 
     def _begun(self, number: int) -> _Step:
         passed = {node for node, latest in enumerate(self._latest) if latest > number}

@@ -47,8 +47,10 @@ def _difference(errors: Chart, other: OtherRun, history: FrameHistory) -> Chart:
         def values(sample: Sample) -> np.ndarray:
             steps = [frame.step for frame in sample.frames]
             paired = other.paired(history, steps[-1] if steps else -1)
-            found = figure(paired.second["rmse"] - paired.first["rmse"])
-            by_step = dict(zip(paired.steps.tolist(), found.tolist(), strict=True))
+            difference = paired.second["rmse"] - paired.first["rmse"]
+            known = np.isfinite(difference)
+            found = figure(difference[known])
+            by_step = dict(zip(paired.steps[known].tolist(), found.tolist(), strict=True))
             return np.array([by_step.get(step, np.nan) for step in steps], dtype=np.float64)
 
         return values

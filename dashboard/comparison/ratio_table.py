@@ -5,6 +5,7 @@ from html import escape
 import numpy as np
 
 from concord.dashboard.comparison.other_run import OtherRun, PairedScores, RatioInterval, batched
+from concord.dashboard.digits import rounded
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.theme import Theme, css
 
@@ -62,7 +63,7 @@ def _row(
     interval = f"{low:.2g} to {high:.2g}" if np.isfinite(low) else "-"
     return (
         f'<tr data-score="{score}"><td style="text-align:left">{heading}</td>'
-        f"<td>{shown[0]:.4g}</td><td>{shown[1]:.4g}</td>"
+        f"<td>{rounded(shown[0], 4)}</td><td>{rounded(shown[1], 4)}</td>"
         f'<td style="{style if decided else ""}">{"-" if np.isnan(ratio) else f"{ratio:.3g}"}</td>'
         f"<td>{interval}</td></tr>"
     )

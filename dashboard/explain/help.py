@@ -17,7 +17,7 @@ HEADINGS = {
     "rej": "frames that the node has rejected since the start",
     "age": "cycles since the oldest share that the node holds of a neighbour was sent",
     "error": "distance of the estimate from the truth, in the unit of the RMSE",
-    "3σ": "three standard deviations of that error, as the node believes",
+    "3σ": "three standard deviations along the longest axis of its ellipse, as the node believes",
     "set": "half-width of the set of the node",
     "rejected": "reason why the node last rejected a frame",
 }

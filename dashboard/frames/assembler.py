@@ -26,8 +26,16 @@ from concord.scenarios.catalogue import beside_truth
 class BusView:
     """Places the frames of a cycle on the bus of a run."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, bus: Bus, since: "tuple[BusView, int] | None" = None) -> None:
+        """Count on from the cycles of another bus, which ends before this cycle of nodes."""
+        self._bus, self._offset = bus, 0
+        if since is not None:
+            before, first = since
+            self._offset = before.number(first) - bus.timebase.bus_cycle(first)
+
+    def number(self, cycle: int) -> int:
+        """Return the number of a cycle among all cycles of the run, also of buses before."""
+        return self._bus.timebase.bus_cycle(cycle) + self._offset
 
     def cycle(self, cycle: int, sizes: Mapping[int, int], frame_ids: Mapping[int, int]) -> BusCycle:
         """A cycle in which each node sent so many payload bytes, all its frames together, of which
@@ -40,9 +48,8 @@ class BusView:
         ]
         frames = self._bus.transmissions(cycle, row, classes)
         silent = tuple(node for node in schedule.static_senders(cycle) if not row[node])
-        number = self._bus.timebase.bus_cycle(cycle)
         return BusCycle(
-            self._bus, cycle, number, tuple(sorted(frames, key=_when)), silent, sum(row)
+            self._bus, cycle, self.number(cycle), tuple(sorted(frames, key=_when)), silent, sum(row)
         )
 
 
@@ -147,7 +154,7 @@ class Assembler:
         if self._network.settings is not before:
             since = self._network.anchor[:2]
             self._stage = restaged(self._stage, dict(self._network.settings), *since)
-            self._bus = BusView(self._stage.bus)
+            self._bus = BusView(self._stage.bus, (self._bus, since[1]))
             self.filters.follow(self._network)
             # Under other settings nodes begin without shares, and perhaps with other neighbours.
             self._ages = np.full(len(self._stage.heard), -1)

@@ -87,9 +87,14 @@ class FrameHistory:
 
 
 def state_table(frames: Sequence[StepFrame], node: int, state: int) -> np.ndarray:
-    """Return truth, a node's estimate and its standard deviation (T, 3) of one state."""
+    """Return truth, a node's estimate and its standard deviation (T, 3) of one state.
+
+    A node that is down estimates nothing: NaN.
+    """
     rows = [
         (f.truth[state], f.belief.mean[node, state], f.belief.cov[node, state, state])
+        if f.alive[node]
+        else (f.truth[state], np.nan, np.nan)
         for f in frames
     ]
     table = np.array(rows).reshape(-1, 3)

@@ -83,8 +83,11 @@ def after_all(
     for change in changes:
         # A newer network may tell of more than this page knows.
         with suppress(KeyError, TypeError, ValueError, IndexError):
+            before = network
             network, line = changed(network, change, names)
-            lines.append(line)
+            # A paused network tells of its pace again at each step that it is asked for.
+            if change.what != "pace" or not (before.paused and network.paused):
+                lines.append(line)
     return network, lines
 
 

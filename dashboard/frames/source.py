@@ -1,13 +1,15 @@
 """Where frames come from: a recording that is played, or a network that runs."""
 
+import time
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.runtime.recording import read_recording
+from concord.runtime.recording import is_closed, read_recording
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 
 
@@ -22,23 +24,42 @@ def replayed(stage: Stage, recording: Path) -> Iterator[StepFrame]:
 
 def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[StepFrame]:
     """The frames that the (topic, bytes) of a run make, from its beginning on."""
-    assembler = Assembler(stage)
-    steps = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
+    taker = FrameTaker(stage)
     for topic, data in messages:
+        yield from taker.take(topic, data)
+    yield from taker.rest()
+
+
+class FrameTaker:
+    """Takes the messages of a run one by one, and gives its frames in order."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._assembler = Assembler(stage)
+        self._steps = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
+
+    def take(self, topic: str, data: bytes) -> list[StepFrame]:
+        """Take one message; return the frames of the steps that are over now."""
         if topic == "event":
-            assembler.hear(data)
-        yield from _frames(assembler, steps.take(topic, data))
-    yield from _frames(assembler, steps.rest())
+            self._assembler.hear(data)
+        return self._frames(self._steps.take(topic, data))
 
+    def rest(self) -> list[StepFrame]:
+        """Return the frames up to the last whole step; nothing more will come."""
+        return self._frames(self._steps.rest())
 
-def _frames(assembler: Assembler, steps: Iterable[WholeStep]) -> Iterator[StepFrame]:
-    for step in steps:
-        frame = assembler.frame(step)
-        if frame is not None:
-            yield frame
+    @property
+    def torn_step(self) -> int | None:
+        """Return the step within which the messages end, None where they end after one."""
+        return self._steps.torn_step
+
+    def _frames(self, steps: Iterable[WholeStep]) -> list[StepFrame]:
+        frames = [self._assembler.frame(step) for step in steps]
+        return [frame for frame in frames if frame is not None]
 
 
 _FRAMES_PER_POLL = 40
+# A recording without an end that was written to so lately may grow; the page looks once a second.
+_GROWING_S, _LOOK_S = 10.0, 1.0
 
 
 class CommandAnswer(NamedTuple):
@@ -101,7 +122,8 @@ class Source(Protocol):
 class RecordedSource:
     """A recording: read little by little, so that the page is there at once.
 
-    `verdict` is that of the whole run, in words; empty where there is none.
+    One that is still written is followed. `verdict` is that of the whole run, in words; empty where
+    there is none.
     """
 
     live = takes_commands = False
@@ -109,8 +131,12 @@ class RecordedSource:
     def __init__(self, stage: Stage, recording: Path, verdict: str = "") -> None:
         self.stage = stage
         self._verdict = verdict and f"; the whole run: {verdict}"
-        self._frames: Iterator[StepFrame] | None = replayed(stage, recording)
-        self._read = 0
+        self._recording, self._taker = recording, FrameTaker(stage)
+        self._size_bytes = recording.stat().st_size
+        self._messages: Iterator[tuple[str, bytes]] = read_recording(recording)
+        self._taken = self._read = 0
+        self._is_read = self._has_rested = self._grows = False
+        self._look_s = 0.0
 
     def poll(self) -> list[StepFrame]:
         """Return the next few frames of the recording.
@@ -119,19 +145,40 @@ class RecordedSource:
             ValueError: the file is not a recording.
         """
         frames: list[StepFrame] = []
-        while self._frames is not None and len(frames) < _FRAMES_PER_POLL:
-            frame = next(self._frames, None)
-            if frame is None:
-                self._frames = None
-            else:
-                frames.append(frame)
+        while not self._is_read and len(frames) < _FRAMES_PER_POLL:
+            message = next(self._messages, None)
+            if message is not None:
+                self._taken += 1
+                frames += self._taker.take(*message)
+            elif time.monotonic() < self._look_s or not self._reads_on():
+                break
+        if self._is_read and not self._has_rested:
+            self._has_rested = True
+            frames += self._taker.rest()
         self._read += len(frames)
         return frames
 
+    def _reads_on(self) -> bool:
+        """Look for what was written meanwhile; say whether there is more."""
+        self._look_s = time.monotonic() + _LOOK_S
+        status = self._recording.stat()
+        if status.st_size != self._size_bytes:
+            self._size_bytes = status.st_size
+            self._messages = islice(read_recording(self._recording), self._taken, None)
+            return True
+        is_young = time.time() - status.st_mtime < _GROWING_S
+        self._grows = is_young and not is_closed(self._recording)
+        self._is_read = not self._grows
+        return False
+
     def pace(self) -> SourceState:
         """A recording has no pace of its own; the player sets it."""
-        if self._frames is None:
-            return SourceState("RECORDED", f"{self._read} steps{self._verdict}")
+        if self._is_read:
+            torn = self._taker.torn_step
+            ends = "" if torn is None else f"; the recording ends within step {torn}"
+            return SourceState("RECORDED", f"{self._read} steps{ends}{self._verdict}")
+        if self._grows:
+            return SourceState("LOADING", f"{self._read} steps so far; the recording grows")
         steps = self.stage.setup.scenario.steps
         return SourceState("LOADING", f"{self._read} of {steps} steps read")
 
@@ -141,4 +188,4 @@ class RecordedSource:
 
     def close(self) -> None:
         """Nothing is held open."""
-        self._frames = None
+        self._is_read = self._has_rested = True

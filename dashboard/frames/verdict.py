@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.dashboard.digits import rounded
+from concord.dashboard.frames.conditions import DOWN, STALE, conditions
 from concord.dashboard.frames.expected import Expected
 from concord.dashboard.frames.frame import StepFrame
 
@@ -32,6 +33,9 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> RunVerdict:
         return RunVerdict("SETTLING", None, f"steps count from step {stage.score.first_step} on")
     scored = [one.step >= stage.score.first_step for one in frames]
     judged = [one for one, counts in zip(frames, scored, strict=True) if counts]
+    if not any(one.seen.any() for one in frames):
+        since = f"no node has had a reading since step {frames[0].step} or before"
+        return RunVerdict("NO READINGS", None, f"{since}; beliefs are predictions alone")
     if not np.isfinite(frame.scores.rmse):
         return RunVerdict("UNKNOWN", None, "the truth is not known, so no error is")
     if stage.set_valued:
@@ -64,6 +68,20 @@ def verdict(frames: Sequence[StepFrame], expected: Expected) -> RunVerdict:
     if is_under:
         return RunVerdict("CAUTIOUS", True, reason)
     return RunVerdict("CONSISTENT", True, reason)
+
+
+def health(frame: StepFrame) -> str:
+    """Return what is wrong with nodes and links in a step, beside the verdict; empty for nothing.
+
+    The verdict is about errors and beliefs, which may be right in half a network.
+    """
+    words = conditions(frame)
+    counts = (
+        (int(frame.cut.sum()), "link{s} cut"),
+        (words.count(DOWN), "node{s} down"),
+        (words.count(STALE), "stale"),
+    )
+    return ", ".join(f"{count} {of.format(s='s' * (count > 1))}" for count, of in counts if count)
 
 
 def _of_sets(frame: StepFrame) -> RunVerdict:

@@ -54,6 +54,13 @@ def of_frames(value: Callable[[StepFrame], float]) -> Column:
     return lambda sample: np.array([value(frame) for frame in sample.frames], dtype=np.float64)
 
 
+def known_pieces(values: np.ndarray) -> list[slice]:
+    """Return the runs of known values (T,), between which a line has gaps."""
+    known = np.r_[False, np.isfinite(values), False].astype(int)
+    begins, ends = np.flatnonzero(np.diff(known) > 0), np.flatnonzero(np.diff(known) < 0)
+    return [slice(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]
+
+
 class Curve(NamedTuple):
     """A line with the colour and the values (T,) that a page shows."""
 

@@ -11,7 +11,7 @@ from viser import uplot
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.history import FrameHistory
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.panels.chart import Chart, Curve, Drawn, Sample
+from concord.dashboard.panels.chart import Chart, Curve, Drawn, Line, Sample
 from concord.dashboard.seeking.time_cursor import READING_STYLE, SYNC
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
@@ -39,6 +39,10 @@ _BEGINNING = (
     '<div style="padding:10px 14px;font-size:12px;opacity:.7">'
     "The charts begin with the second step that this page receives.</div>"
 )
+_LEAST_WITH_TIME = 100
+# A distance of so many usual ones between two points is a gap; a title names a line that has missed
+# so many points.
+_GAP, _MISSED = 3.0, 10
 # A plot is used again after three others, when no browser shows it any more.
 _HANDLES = 4
 
@@ -48,6 +52,7 @@ class PlotForm(NamedTuple):
 
     title: str
     lines: tuple[int, ...]
+    dotted: tuple[bool, ...]
     power: int
     is_logarithmic: bool
     is_zero: bool
@@ -72,12 +77,13 @@ class Plot:
         self._times, self._columns = np.zeros(0), [np.zeros(0) for _ in chart.lines]
         self._title = titled(chart.name, chart.unit, 0)
 
-    def _series(self, lines: Sequence[int]) -> tuple[Any, ...]:
+    def _series(self, form: PlotForm) -> tuple[Any, ...]:
         drawn: list[Any] = [uplot.Series(label="time [s]")]
-        for index in lines:
+        for index, is_dotted in zip(form.lines, form.dotted, strict=True):
             line = self._chart.lines[index]
             dash: dict[str, Any] = {"dash": (5, 4)} if line.dashed else {}
-            stroke, points = css(line.colour(self._theme)), uplot.Series_Points(show=False)
+            stroke = css(line.colour(self._theme))
+            points = uplot.Series_Points(show=is_dotted, size=3)
             drawn.append(
                 uplot.Series(label=line.name, stroke=stroke, width=1.6, **dash, points=points)
             )
@@ -88,6 +94,9 @@ class Plot:
         line: Any = {"stroke": css(self._theme.faint), "width": 1}
         ticks: Any = {**line, "size": 4}
         named: Any = {"label": "time [s]", "labelSize": 14, "labelGap": 0, "labelFont": _FONT}
+        if self._height < _LEAST_WITH_TIME:
+            # The first chart names the times of all.
+            named = {}
         across, up = (
             uplot.Axis(
                 size=size, space=space, gap=3, stroke=css(self._theme.quiet), grid=line,
@@ -97,7 +106,7 @@ class Plot:
         )  # fmt: skip
         return across, up
 
-    def _add(self, form: PlotForm, data: tuple[np.ndarray, ...]) -> None:
+    def _add(self, form: PlotForm, data: Any) -> None:
         """Make the plot anew."""
         values: Any = uplot.Scale(auto=True)
         if form.is_logarithmic:
@@ -108,7 +117,7 @@ class Plot:
             values = uplot.Scale(auto=True, range=_FROM_ZERO)
         shown: dict[str, Any] = {
             "data": data,
-            "series": self._series(form.lines),
+            "series": self._series(form),
             "title": form.title,
             "scales": {"x": uplot.Scale(time=False), "y": values},
             "axes": self._axes(),
@@ -118,10 +127,13 @@ class Plot:
         self._hide()
         if len(self._handles) < _HANDLES:
             with self._container:
+                # viser makes a plot of arrays alone; the data with its gaps follow at once.
+                shown["data"] = tuple(np.zeros(2) for _ in data)
                 handle = self._gui.add_uplot(
                     **shown, padding=(8, 14, 0, 0), height=self._height, aspect=2.0,
                     order=self._order,
                 )  # fmt: skip
+                handle.data = data
         else:
             handle, before = self._handles.popleft()
             for name, value in {**shown, "visible": True}.items():
@@ -142,29 +154,33 @@ class Plot:
         self._hide()
 
     def show(self, sample: Sample) -> None:
-        """Assign the data; missing values are bridged, and a line without values is left out.
+        """Assign the data; where a value is missing, the line has a gap.
 
-        The plot is not there before the second step: an empty one would show zeros.
+        A line without values is left out. The plot is not there before the second step: an empty
+        one would show zeros.
         """
         if len(sample.times) < 2:
             return
         columns = [line.column(sample) for line in self._chart.lines]
-        self._times, self._columns = sample.times, columns
+        self._times, self._columns = with_gaps(sample.times, columns)
         present = tuple(i for i, column in enumerate(columns) if np.isfinite(column).any())
         if not present:
             self._hide()
             return
-        drawn = [_bridged(sample.times, columns[index]) for index in present]
+        known = [columns[index][np.isfinite(columns[index])] for index in present]
         was_logarithmic = self._form is not None and self._form.is_logarithmic
-        is_logarithmic = self._chart.from_zero and asks_for_logarithm(drawn, was_logarithmic)
-        power = shown_power(drawn)
+        is_logarithmic = self._chart.from_zero and asks_for_logarithm(known, was_logarithmic)
+        power = shown_power(known)
         name, unit = self._chart.name, self._chart.unit
         if self._chart.about is not None:
             name, unit = self._chart.about(sample)
         self._title = titled(name, unit, 0)
-        is_zero = not any(column.any() for column in drawn)
-        form = PlotForm(titled(name, unit, power), present, power, is_logarithmic, is_zero)
-        data = (sample.times, *(10.0**-power * column for column in drawn))
+        title = titled(name, unit, power) + missing_words(self._chart.lines, columns, sample)
+        is_zero = not any(column.any() for column in known)
+        drawn = [self._columns[index] for index in present]
+        dotted = tuple(has_lone_points(column) for column in drawn)
+        form = PlotForm(title, present, dotted, power, is_logarithmic, is_zero)
+        data = [self._times.tolist(), *(told(10.0**-power * column) for column in drawn)]
         if form == self._form:
             self._handles[-1][0].data = data
         else:
@@ -182,7 +198,10 @@ class Plot:
 
 
 def asks_for_logarithm(columns: list[np.ndarray], has_one: bool) -> bool:
-    """Say whether positive values have a peak that leaves no height for one of the lines."""
+    """Say whether positive values have a peak that leaves no height for one of the lines.
+
+    `columns` have the known values of each line.
+    """
     if not all((column > 0).all() for column in columns):
         return False
     usual = min(float(np.median(column)) for column in columns)
@@ -192,7 +211,7 @@ def asks_for_logarithm(columns: list[np.ndarray], has_one: bool) -> bool:
 
 
 def shown_power(columns: list[np.ndarray]) -> int:
-    """Return the power of ten, a multiple of three, in which a plot shows values.
+    """Return the power of ten, a multiple of three, in which a plot shows known values.
 
     uplot writes at most three decimals, so smaller values need a power; beside the plot is room for
     five digits. Values below 10^-12 are rounding errors.
@@ -217,10 +236,43 @@ def powered(words: str, power: int) -> str:
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def _bridged(times: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Straight lines where numbers are missing: a NaN would leave the whole chart without scale."""
-    known = np.isfinite(column)
-    return column if known.all() else np.interp(times, times[known], column[known])
+def with_gaps(times: np.ndarray, columns: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return times and columns with a missing value where the page lacks several steps in a row.
+
+    The page receives every second step of a network, say: only a distance above `_GAP` times the
+    usual one is a gap.
+    """
+    distances = np.diff(times)
+    usual = np.median(distances) if len(distances) else 0.0
+    places = np.flatnonzero(distances > _GAP * usual) + 1
+    if not len(places):
+        return times, columns
+    between = (times[places - 1] + times[places]) / 2
+    return np.insert(times, places, between), [np.insert(c, places, np.nan) for c in columns]
+
+
+def has_lone_points(column: np.ndarray) -> bool:
+    """Say whether a known value has no known neighbour: a line would not show it."""
+    known = np.r_[False, np.isfinite(column), False]
+    return bool((known[1:-1] & ~known[:-2] & ~known[2:]).any())
+
+
+def missing_words(lines: Sequence[Line], columns: list[np.ndarray], sample: Sample) -> str:
+    """Return for a title which full lines have ended, and at which step; empty where none has."""
+    words = []
+    for line, column in zip(lines, columns, strict=True):
+        last = int(np.flatnonzero(np.isfinite(column)).max(initial=-1))
+        if not line.dashed and 0 <= last < len(column) - _MISSED:
+            words.append(f"{line.name}: none since step {sample.frames[last + 1].step}")
+    return "".join(f" · {each}" for each in words)
+
+
+def told(column: np.ndarray) -> list[float | None]:
+    """Return values as uplot takes them: it draws a gap for None, and a straight line for NaN."""
+    return [
+        value if known else None
+        for value, known in zip(column.tolist(), np.isfinite(column).tolist(), strict=True)
+    ]
 
 
 class Charts:
@@ -233,9 +285,11 @@ class Charts:
         charts: Sequence[Chart],
         theme: Theme,
         height: int,
+        small_height: int | None = None,
     ) -> None:
+        """Make the first chart `height` pixels high, and the others `small_height`."""
         self._plots = [
-            Plot(gui, container, chart, theme, height, place)
+            Plot(gui, container, chart, theme, (small_height if place > 1 else 0) or height, place)
             for place, chart in enumerate(charts, 1)
         ]
         with container:
@@ -260,6 +314,7 @@ class Charts:
 
 def sampled(stage: Stage, view: View, history: FrameHistory, expectation: Expectation) -> Sample:
     """Return all steps up to the shown one, thinned to `MOST_POINTS`."""
-    frames = history.sampled(view.step, MOST_POINTS)
+    window = round(view.window_s / stage.setup.time_step_s) if view.window_s else len(history)
+    frames = history.sampled(view.step, MOST_POINTS, max(2, window))
     times = np.array([frame.time_s for frame in frames])
     return Sample(stage, view, frames, times, expectation(times))

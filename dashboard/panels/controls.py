@@ -50,14 +50,6 @@ class LoopButtons:
 _MOST_STEPS_PER_S, _MOST_SPEED = 100, 16.0
 _SPEED_HINT = "1 is as fast as the plant"
 
-# viser gives a connection one second, which a busy machine may exceed for minutes. So the page
-# loads anew as soon as its server, which was gone, answers again.
-_RELOAD = (
-    '<img src="data:," alt="" onerror="if(!window.concordReloads){window.concordReloads=1;'
-    "let gone=false;setInterval(()=>fetch(location.href,{cache:'no-store'})"
-    '.then(answer=>{if(gone&&answer.ok)location.reload()},()=>{gone=true}),300)}">'
-)
-
 
 class Controls:
     """The widgets of the left panel; `network` and `node` are None on a page without commands."""
@@ -107,7 +99,6 @@ class Controls:
             self.loop.group.visible = not source.live
             self.until = RunUntil(gui, self._inputs, source, self.commands)
             self.again: Any = gui.add_button("Run again", icon=viser.Icon.REFRESH, visible=False)
-            self._reload: Any = gui.add_html("")
         # On a page that is read-only the pace of the network is not for its users to choose.
         for widget in self._pace:
             widget.visible = source.takes_commands or not source.live
@@ -132,6 +123,8 @@ class Controls:
             # The press means what the button says, although other commands may wait before it.
             word = "resume" if self._is_paused else "pause"
             self.commands.soon(self.commands.send, {"do": word}, client)
+            if self._is_paused:
+                self.follow()
 
     def _play_or_rest(self, view: View) -> None:
         if view.playing:
@@ -170,7 +163,6 @@ class Controls:
         if self._run_again is not None:
             act, self._run_again = self._run_again, None
             self.again.disabled, self.again.label = True, "The run starts again"
-            self._reload.content = _RELOAD
             act()
 
     def _set_speed(self, event: Any) -> None:

@@ -13,7 +13,7 @@ from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.chart import Drawn
 from concord.dashboard.panels.scene_picture import LEAST_WIDTH, scene_picture
 from concord.dashboard.panels.shared_run import FRAME_S, shared_run
-from concord.dashboard.scene.camera import Camera
+from concord.dashboard.scene.camera import Camera, Free
 from concord.dashboard.scene.plants import TRAIL
 from concord.dashboard.scene.scene import Scene
 from concord.dashboard.view import View
@@ -55,12 +55,18 @@ def animated_scene(
         server.stop()
 
 
-def screenshot(client: viser.ClientHandle, view: View, frame: StepFrame) -> bytes:
-    """Return the scene as the browser of this client shows it, with its legend, as PNG."""
+def screenshot(
+    client: viser.ClientHandle, view: View, frame: StepFrame, free: Free | None
+) -> bytes:
+    """Return the scene as the browser of this client shows it, with its legend, as PNG.
+
+    What lies under the panels below the scene is cut off.
+    """
     shape = (client.camera.image_height or 900) / (client.camera.image_width or 1600)
     width = max(client.camera.image_width or 0, LEAST_WIDTH)
     picture = client.get_render(height=round(shape * width), width=width, transport_format="png")
-    return scene_picture(picture, view, frame)
+    rows = len(picture) if free is None else round(len(picture) * free.bottom / free.height)
+    return scene_picture(picture[:rows], view, frame)
 
 
 def zipped(folder: Path) -> bytes:

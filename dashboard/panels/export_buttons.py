@@ -30,13 +30,20 @@ class Shown(NamedTuple):
 class ExportButtons:
     """Buttons for a screenshot, an animated scene, the charts, and the folder of the run if known.
 
-    Runs on: viser's threads of clicks. `shown()` returns what the page shows at that moment.
+    Runs on: viser's threads of clicks. `shown()` returns what the page shows at that moment,
+    and `free(client)` what the panels of a client leave to the scene.
     """
 
-    def __init__(self, gui: viser.GuiApi, shown: Callable[[], Shown], folder: Path | None) -> None:
-        self._shown, self._folder = shown, folder
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        shown: Callable[[], Shown],
+        folder: Path | None,
+        free: Callable[[viser.ClientHandle], Free | None],
+    ) -> None:
+        self._shown, self._folder, self._free = shown, folder, free
         icon = viser.Icon
-        with gui.add_folder("Export"):
+        with gui.add_folder("Export", expand_by_default=False):
             self.picture: Any = gui.add_button("Scene (.png)", color=QUIET_BUTTON, icon=icon.CAMERA)
             self.scene: Any = gui.add_button("Run (.html)", color=QUIET_BUTTON, icon=icon.MOVIE)
             self.charts: Any = gui.add_button(
@@ -59,7 +66,9 @@ class ExportButtons:
         shown = self._shown()
         if event.client is None or not len(shown.history):
             return
-        picture = screenshot(event.client, shown.view, shown.history.at(shown.view.step))
+        picture = screenshot(
+            event.client, shown.view, shown.history.at(shown.view.step), self._free(event.client)
+        )
         self._give(event.client, shown, "png", picture)
 
     def _give_scene(self, event: Any) -> None:

@@ -21,7 +21,7 @@ class NetworkControls:
     def __init__(self, gui: viser.GuiApi, inputs: Inputs, commands: Commands, stage: Stage) -> None:
         self._inputs, self._commands, self._stage = inputs, commands, stage
         scenario = stage.setup.scenario
-        with gui.add_folder("Network"):
+        with gui.add_folder("Network", expand_by_default=False):
             self.rounds: Any = gui.add_number("Rounds", scenario.rounds, min=1, max=20, step=1)
             now = _settings_of(scenario)
             self.rule: Any = gui.add_dropdown(

@@ -19,7 +19,7 @@ class NodeControls:
         self._inputs, self._commands, self._stage = inputs, commands, stage
         self._shown_node = 0
         names = stage.names
-        with gui.add_folder("Node and link"):
+        with gui.add_folder("Node and link", expand_by_default=False):
             self.node: Any = gui.add_dropdown("Node", names, initial_value=names[0])
             self.life: Any = gui.add_button_group("Node is", ("kill", "restart"))
             self.peer: Any = gui.add_dropdown(

@@ -1,6 +1,7 @@
 """The panels of the page and the scene: made once, drawn again with every picture."""
 
 from collections.abc import Callable
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from concord.dashboard.touch.script import script_panel
 from concord.dashboard.view import View
 from concord.dashboard.window import PageServer
 
-_CHART_HEIGHT, _STATE_CHART_HEIGHT = 78, 190
+_CHART_HEIGHT, _SMALL_HEIGHT, _STATE_CHART_HEIGHT = 150, 62, 190
 _CAR_TRAIL = 3000
 
 
@@ -73,7 +74,7 @@ class Page:
             with panels.ratios:
                 self._ratios: Any = gui.add_html("")
             self._ghost = Ghost(window.server.scene, stage)
-        self.charts = Charts(gui, panels.charts, charts, view.theme, _CHART_HEIGHT)
+        self.charts = Charts(gui, panels.charts, charts, view.theme, _CHART_HEIGHT, _SMALL_HEIGHT)
         self._state_charts = Charts(
             gui, panels.state, state_charts(), view.theme, _STATE_CHART_HEIGHT
         )
@@ -91,6 +92,8 @@ class Page:
             self._run = Bridge(gui, MOST_BINS, self._seek, lambda _: None)
             TimeCursor(gui, self._seek_time, self._seek_first)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
+            # Beside the bus, which no window minimizes.
+            self._told: Any = gui.add_html("")
         with panels.zoom:
             self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
         with panels.states:
@@ -160,6 +163,8 @@ class Page:
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
+        # First, as a chart of another theme is hidden until its next data.
+        self._repaint(view.theme)
         frame = history.at(view.step)
         stage, past = frame.stage, history.until(frame.step, STEPS_BACK)
         events = [event for event in reversed(history.log) if event.step <= view.step]
@@ -192,7 +197,11 @@ class Page:
             if sample is not None:
                 self._attempt("Charts", lambda: self.charts.draw(sample))
                 self._attempt("One state", lambda: self._state_charts.draw(sample))
-        self._repaint(view.theme)
+
+    def tell_title(self, title: str) -> None:
+        """Write a title on the tab of the browser."""
+        words = escape(title, quote=True)
+        self.show("title", self._told, f'<i class="concord-told" data-title="{words}" hidden></i>')
 
     def show(self, name: str, handle: Any, html: str) -> None:
         """Assign HTML to a panel unless the panel shows the same already."""

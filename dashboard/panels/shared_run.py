@@ -14,7 +14,7 @@ import numpy as np
 from concord.dashboard.digits import rounded
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.panels.chart import Curve, Drawn
+from concord.dashboard.panels.chart import Curve, Drawn, known_pieces
 from concord.dashboard.panels.timeline import TimelineView, past_cycles
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
@@ -122,11 +122,12 @@ def chart_svg(theme: Theme, chart: Drawn) -> str:
     lines = []
     for curve, one in zip(curves, values, strict=True):
         y = bottom - (bottom - _TOP) * (one - low) / span
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(b))
-        dash = ' stroke-dasharray="5 4"' if curve.dashed else ""
-        lines.append(
-            f'<polyline points="{points}" fill="none" stroke="{css(curve.colour)}"{dash}/>'
+        path = "M".join(
+            "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x[s], y[s], strict=True))
+            for s in known_pieces(y)
         )
+        dash = ' stroke-dasharray="5 4"' if curve.dashed else ""
+        lines.append(f'<path d="M{path}" fill="none" stroke="{css(curve.colour)}"{dash}/>')
     ends = [10.0**one if chart.is_logarithmic else one for one in (high, low)]
     quiet = css(theme.quiet)
     words = "".join(

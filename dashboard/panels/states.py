@@ -8,6 +8,7 @@ import numpy as np
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory, state_table
 from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import known_pieces
 from concord.dashboard.theme import Theme, css
 from concord.dashboard.view import View
 
@@ -52,20 +53,22 @@ def _row(
     low, high = float(known.min()), float(known.max())
     x = (times - times[0]) / (times[-1] - times[0]) * WIDTH
     y = top + HEAD + (high - lines) / ((high - low) or 1.0) * (tall - HEAD - FOOT)
-    sure = np.isfinite(y[2:]).all(axis=0)
-    around = _points(np.r_[x[sure], x[sure][::-1]], np.r_[y[2][sure], y[3][sure][::-1]])
+    around = "".join(
+        f'<polygon points="{_points(np.r_[x[s], x[s][::-1]], np.r_[y[2][s], y[3][s][::-1]])}" '
+        f'fill="{css(theme.estimate, 0.28)}"/>'
+        for s in known_pieces(y[2] + y[3])
+    )
     drawn = "".join(
-        f'<polyline points="{_points(x[there], row[there])}" fill="none" stroke="{css(colour)}" '
+        f'<polyline points="{_points(x[s], row[s])}" fill="none" stroke="{css(colour)}" '
         f'stroke-width="1.6"/>'
-        for row, there, colour in (
-            (y[0], np.isfinite(y[0]), theme.truth), (y[1], np.isfinite(y[1]), theme.estimate),
-        )
-    )  # fmt: skip
+        for row, colour in ((y[0], theme.truth), (y[1], theme.estimate))
+        for s in known_pieces(row)
+    )
     ends = f"{low:.3g} to {high:.3g}"
     return (
         f'{head}<text x="{WIDTH - 2:g}" y="{top + 10:g}" font-size="10" text-anchor="end" '
         f'fill="{css(theme.quiet)}">{ends}</text>'
-        f'<polygon points="{around}" fill="{css(theme.estimate, 0.28)}"/>{drawn}'
+        f"{around}{drawn}"
     )
 
 

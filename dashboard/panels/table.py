@@ -8,10 +8,10 @@ import numpy as np
 from concord.dashboard.digits import rounded
 from concord.dashboard.explain.help import HEADINGS
 from concord.dashboard.explain.tooltips import chart_meanings
-from concord.dashboard.frames.conditions import DOWN, REJECTED, conditions, oldest
+from concord.dashboard.frames.conditions import BLIND, DOWN, REJECTED, conditions, oldest
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.frames.verdict import RunVerdict
+from concord.dashboard.frames.verdict import RunVerdict, health
 from concord.dashboard.panels.charts import powered, shown_power
 from concord.dashboard.scene.signs import MARKS, colour_of
 from concord.dashboard.theme import Theme, css, letters_on
@@ -25,7 +25,7 @@ _SCALED = ("error", "3σ", "set")
 def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     """A row per node."""
     theme, words, ages = view.theme, conditions(frame), oldest(frame)
-    width = (1.0 if stage.set_valued else 3.0) * frame.scores.width
+    width = frame.scores.width if stage.set_valued else 3.0 * largest_deviation(frame)
     rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
     told = any(frame.rejection)
     top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
@@ -34,6 +34,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     share = 10.0**-power
     cells = []
     for node in rows:
+        colour = theme.quiet if words[node] == BLIND else colour_of(theme, words[node])
         marked = f"background:{css(theme.faint)};" if node == view.selected else ""
         if node == view.hovered and node != view.selected:
             marked = f"background:{css(theme.faint, 0.5)};"
@@ -46,9 +47,9 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         )  # fmt: skip
         age = "-" if ages[node] < 0 else str(ages[node])
         cells.append(
-            f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
+            f'<tr data-node="{node}" data-state="{words[node]}" tabindex="0" style="{marked}">'
             f'<td title="{escape(stage.names[node])}" style="text-align:left"><span style="color:'
-            f'{css(colour_of(theme, words[node]))}">{MARKS[words[node]]}</span> '
+            f'{css(colour)}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
             f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
@@ -86,6 +87,19 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     )
 
 
+def largest_deviation(frame: StepFrame) -> np.ndarray:
+    """Return one standard deviation (N,) of the scored states, along the longest axis.
+
+    It is half the length of the ellipse of 1σ, so that table and ellipses tell one figure.
+    """
+    states = list(frame.stage.score.states)
+    cov = frame.belief.cov[:, states][:, :, states]
+    known = np.isfinite(cov).all((1, 2))
+    largest = np.full(len(cov), np.nan)
+    largest[known] = np.linalg.eigvalsh(cov[known])[:, -1]
+    return np.sqrt(np.maximum(largest, 0.0))
+
+
 def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> list[int]:
     """Return the nodes that the table shows, in order; the selected one is always among them."""
     rows = list(range(nodes))
@@ -121,9 +135,10 @@ def status(
     failures: Sequence[str] = (),
     waiting: Sequence[str] = (),
     judged: RunVerdict | None = None,
+    mode: str = "",
 ) -> str:
     """Return the state of the run in a few lines, its verdict, the changes that wait, and the
-    panels that fail.
+    panels that fail. `mode` says how the shown step moves.
 
     The settings are those of the frame; those of `stage` where there is no frame.
     """
@@ -133,11 +148,12 @@ def status(
         "ENDED": theme.quiet,
         "SILENT": theme.down,
     }
-    ground = colour.get(state, theme.blind)
+    ground = colour.get(state.partition(" ")[0], theme.blind)
     pill = (
         f'<span data-testid="run-state" style="background:{css(ground)};'
         f"color:{css(letters_on(ground))};border-radius:10px;padding:2px 10px;font-weight:700;"
-        f'font-size:11px">{state}</span> '
+        f'font-size:11px">{escape(state)}</span> '
+        f'<span data-testid="mode" style="font-weight:600;font-size:11px">{escape(mode)}</span> '
         f'<span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
     )
     rows: list[tuple[str, str, str, str]] = []
@@ -166,17 +182,18 @@ def status(
         f"{escape(failure)}</div>"
         for failure in failures
     )
-    pill += _verdict(theme, frame is None and state == "PAUSED", judged)
+    pill += _verdict(theme, frame, state == "PAUSED", judged)
     failed += _waiting(waiting)
-    name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = scenario.network.graph, scenario.rule.name
     graph = f"{len(stage.edges)} links" if graph.startswith("edges:") else escape(graph)
     rounds = f"{scenario.rounds} round{'s' * (scenario.rounds != 1)}"
-    about = f"{name}, {graph}, {rule}, {rounds}"
+    about = f"{escape(scenario.name)}, {graph}, {rule}, {rounds}"
     return (
-        f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
-        f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'
+        f'<div class="concord-status" style="font-size:12.5px;color:{css(theme.text)};'
+        f'padding:4px 12px">{pill}'
+        f'<div class="concord-about" style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">'
+        f"{about}</div>"
         f"{lines}{failed}</div>"
     )
 
@@ -189,19 +206,26 @@ def _number(value: float) -> str:
     return "-" if not np.isfinite(value) else rounded(value)
 
 
-def _verdict(theme: Theme, is_empty: bool, judged: RunVerdict | None) -> str:
-    """Return the verdict, or the reason why there is nothing to judge."""
-    if is_empty:
+def _verdict(
+    theme: Theme, frame: StepFrame | None, is_paused: bool, judged: RunVerdict | None
+) -> str:
+    """Return the verdict with the health of the network, or why there is nothing to judge."""
+    if frame is None and is_paused:
         return (
             f'<div data-testid="empty" style="margin-top:7px;color:{css(theme.text)}">The page has '
             "no step yet; press Step, or N, for the next one.</div>"
         )
-    if judged is None:
+    if judged is None or frame is None:
         return ""
+    ill = health(frame)
+    ailing = ill and (
+        f' <span data-testid="health" style="font-size:12px;font-weight:600;'
+        f'color:{css(theme.sending if theme.dark else theme.down)}">{ill}</span>'
+    )
     good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
     return (
         f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
-        f'color:{css(good)}">{escape(judged.word)}</b><div style="font-size:11px;'
+        f'color:{css(good)}">{escape(judged.word)}</b>{ailing}<div style="font-size:11px;'
         f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
     )
 

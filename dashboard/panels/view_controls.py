@@ -9,7 +9,7 @@ from concord.dashboard.frames.stage import PlantDrawing, Stage
 from concord.dashboard.inputs import Inputs, at_once
 from concord.dashboard.scene.magnification import MAGNIFIED
 from concord.dashboard.theme import DARK, LIGHT, QUIET_BUTTON
-from concord.dashboard.view import ELLIPSES, ORDERS, View
+from concord.dashboard.view import ELLIPSES, ORDERS, WINDOWS_S, View
 
 _AUTOMATIC = "auto"
 
@@ -26,7 +26,7 @@ class ViewControls:
         fit: Callable[[viser.ClientHandle], None],
     ) -> None:
         self._inputs, self._stage = inputs, stage
-        with gui.add_folder("View"):
+        with gui.add_folder("View", expand_by_default=False):
             button: Any = gui.add_button("Fit", color=QUIET_BUTTON, icon=viser.Icon.MAXIMIZE)
             button.on_click(at_once(lambda event: fit(event.client)))
             self.dark: Any = gui.add_checkbox("Dark", view.theme.dark)
@@ -50,12 +50,14 @@ class ViewControls:
                     self._bind(reach, "sight_range", bool)
             labels: Any = gui.add_checkbox("Names", view.labels)
             order: Any = gui.add_dropdown("Table by", ORDERS, initial_value=view.order)
+            window: Any = gui.add_dropdown("Charts of", tuple(WINDOWS_S))
             states = stage.state_names
             across: Any = gui.add_dropdown("Beliefs →", states, initial_value=states[view.pair[0]])
             up: Any = gui.add_dropdown("Beliefs ↑", states, initial_value=states[view.pair[1]])
             state: Any = gui.add_dropdown("State chart", states, initial_value=states[view.state])
         self._bind(labels, "labels", bool)
         self._bind(order, "order", str)
+        self._bind(window, "window_s", WINDOWS_S.__getitem__)
         self._bind(across, "pair", lambda _: self._pair(across, up))
         self._bind(up, "pair", lambda _: self._pair(across, up))
         self._bind(state, "state", states.index)

@@ -94,14 +94,18 @@ class RunUntil:
         for frame in islice(history.after(self._judged), _FRAMES_PER_TURN):
             self._judged = frame.step
             if wanted.holds(frame):
-                self._reach(wanted, frame.step)
+                self._reach(wanted, frame.step, history.last_step)
                 return
         if self._judged >= history.last_step:
             self._go_on(wanted, history, self._source.pace())
 
-    def _reach(self, wanted: Breakpoint, step: int) -> None:
+    def _reach(self, wanted: Breakpoint, step: int, newest: int) -> None:
+        """Show the step that was found; the page goes on to follow a network that stands there."""
         self.stop()
-        self._inputs.alter(lambda view: view.look_at(step))
+        if self._is_running() and step == newest:
+            self._inputs.alter(lambda view: view.go_to_end())
+        else:
+            self._inputs.alter(lambda view: view.look_at(step))
         self._commands.tell(None, "Found", f"{wanted.words} holds after step {step}.", False)
 
     def _go_on(self, wanted: Breakpoint, history: FrameHistory, pace: SourceState) -> None:

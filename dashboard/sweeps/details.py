@@ -4,6 +4,7 @@ from html import escape
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.panels.chart import Curve, Drawn
 from concord.dashboard.panels.shared_run import chart_svg
 from concord.dashboard.sweeps.swept import Choices, SweptCells, looks, shown_cells, worded
@@ -76,14 +77,14 @@ def runs_panel(swept: SweptCells, choices: Choices) -> str:
         dots.append(
             f'<circle data-node="{place}" cx="{x:.1f}" cy="{46 - 11 * (row % 4):g}" r="5" '
             f'fill="{css(theme.estimate)}" style="cursor:pointer"><title>run '
-            f"{swept.runs[place]}: RMSE {rmse[place]:.4g} {escape(swept.unit)}; press to open its "
-            "page</title></circle>"
+            f"{swept.runs[place]}: RMSE {rounded(rmse[place], 4)} {escape(swept.unit)}; "
+            "press to open its page</title></circle>"
         )
     quiet = css(theme.quiet)
     unit = "" if swept.unit == "1" else f" {escape(swept.unit)}"
     words = "".join(
-        f'<text x="{x:g}" y="70" font-size="11" fill="{quiet}" text-anchor="{anchor}">{value:.4g}'
-        f"{unit}</text>"
+        f'<text x="{x:g}" y="70" font-size="11" fill="{quiet}" text-anchor="{anchor}">'
+        f"{rounded(value, 4)}{unit}</text>"
         for x, anchor, value in ((_LEFT - 8, "start", low), (_WIDTH - _LEFT + 8, "end", high))
     )
     return _said(
@@ -128,4 +129,4 @@ def _with_half(interval: np.ndarray) -> str:
     if not np.isfinite(value):
         return "-"
     half = (high - low) / 2
-    return f"{value:.4g}" + (f" ±{half:.2g}" if np.isfinite(half) and half else "")
+    return rounded(value, 4) + (f" ±{half:.2g}" if np.isfinite(half) and half else "")

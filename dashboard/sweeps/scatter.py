@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.sweeps.swept import (
     Choices,
     SweptCells,
@@ -100,7 +101,7 @@ def _axis(swept: SweptCells, name: str, shown: np.ndarray) -> _Axis:
         decades = range(int(np.floor(ends[0])), int(np.ceil(ends[1])) + 1)
         steps = (1, 2, 5) if ends[1] - ends[0] < 3 else (1,)
         round_values = [step * 10.0**decade for decade in decades for step in steps]
-        inside = [(v, f"{v:g}") for v in round_values if ends[0] <= np.log10(v) <= ends[1]]
+        inside = [(v, rounded(v)) for v in round_values if ends[0] <= np.log10(v) <= ends[1]]
         straight = _straight(*ends)
         return _Axis(
             name, values, inside, reference,
@@ -110,7 +111,7 @@ def _axis(swept: SweptCells, name: str, shown: np.ndarray) -> _Axis:
     low, high = (0.0 if 0 <= low < 0.3 * high else low - margin), high + margin
     step = 10.0 ** np.floor(np.log10((high - low) / 4))
     step *= next(by for by in (5, 2, 1) if by == 1 or (high - low) / (by * step) >= 4)
-    ticks = [(v, f"{v:.5g}") for v in step * np.arange(np.ceil(low / step), high / step)]
+    ticks = [(v, rounded(v, 5)) for v in step * np.arange(np.ceil(low / step), high / step)]
     return _Axis(name, values, ticks, reference, _straight(low, high))
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.dashboard.digits import rounded
 from concord.dashboard.theme import GREEN, ORANGE, PINK, VERMILION, Colour, Theme
 
 GLYPHS = "●■▲◆▼✚★"
@@ -108,4 +109,4 @@ def is_number(value: object) -> bool:
 
 def worded(value: object) -> str:
     """Return a value in a few characters."""
-    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
+    return rounded(value, 4) if isinstance(value, float | np.floating) else str(value)

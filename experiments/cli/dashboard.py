@@ -14,7 +14,7 @@ import tyro
 
 from concord.experiments.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
-from concord.experiments.page_process import PORT, RUN_AGAIN, RUN_IS_OVER
+from concord.experiments.page_process import NETWORK_IS_GONE, PORT, RUN_AGAIN, RUN_IS_OVER
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
@@ -119,6 +119,9 @@ def _follow_launcher(
         if line.encode() == RUN_IS_OVER:
             page.controls.offer_again(lambda: _tell_launcher(RUN_AGAIN))
             source.end("the run is over" if folder is None else f"results in {folder}")
+        elif line.encode() == NETWORK_IS_GONE:
+            step = source.pace().completed - 1
+            source.end(f"network gone at step {step}; `concord collect {folder}` shows what came")
     gone.set()
 
 

@@ -162,6 +162,7 @@ def _watched(
                 # A network that waits for people has no pace of its own.
                 pace = pace._replace(steps_per_second=None)
     except RunFailed as error:
+        page.outlive_network()
         raise RunFailed(f"{error}; `concord collect {folder}` shows what was done") from error
     except KeyboardInterrupt:
         # After an interrupt, the user need not wait for arrays and figures.

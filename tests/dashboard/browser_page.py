@@ -97,7 +97,7 @@ def recorded_page(browser: Any, folder: Path, light: bool = False, **changes: An
 class Page:
     """The dashboard and its page; `clock` is the dashboard's only time."""
 
-    def __init__(self, dashboard: Dashboard, browser: Any) -> None:
+    def __init__(self, dashboard: Dashboard, browser: Any, open_folders: bool = True) -> None:
         self.dashboard = dashboard
         self.clock_s = 1.0
         self.console: list[str] = []
@@ -109,6 +109,14 @@ class Page:
         self.page.goto(f"{dashboard.url}&fixedDpr=0.5")
         self.page.wait_for_function(_READY)
         self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
+        if open_folders:
+            self.open_folders()
+
+    def open_folders(self) -> None:
+        """Open the folders that a page begins with closed."""
+        for name in ("View", "Export", "Network", "Node and link"):
+            for folder in self.page.get_by_text(name, exact=True).all():
+                folder.click()
 
     def _loaded(self) -> bool:
         self.draw()

@@ -25,7 +25,7 @@ def open_tab(page: Page, name: str) -> None:
 
 def test_the_verdict_is_on_the_page_with_its_reason(page: Page):
     assert page.text("verdict") in ("CONSISTENT", "CAUTIOUS")
-    assert "errors are" in page.page.locator('[data-testid="verdict"] + div').text_content()
+    assert "errors are" in page.page.locator('[data-testid="verdict"] ~ div').text_content()
 
 
 def test_a_press_on_a_number_tells_which_shares_made_it(page: Page):

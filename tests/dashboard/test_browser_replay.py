@@ -112,10 +112,10 @@ def _slowly(page: Page) -> Iterator[None]:
 @pytest.mark.usefixtures("_slowly")
 def test_pause_and_resume(page: Page):
     page.press("Resume")
-    page.until(lambda: page.text("run-state") == "RUNNING")
+    page.until(lambda: page.text("mode") == "playing")
     page.until(lambda: int(page.text("step")) > 31)
     page.press("Pause")
-    page.until(lambda: page.text("run-state") == "PAUSED")
+    page.until(lambda: page.text("mode") == "paused")
     step = page.text("step")
     for _ in range(3):
         page.draw()
@@ -127,13 +127,13 @@ def test_the_end_is_reached_while_the_recording_plays_and_resume_begins_again(pa
     for go in (lambda: page.press("Go to the end"), lambda: page.key("g")):
         page.dashboard.inputs.alter(lambda view: view.look_at(5))
         page.press("Resume")
-        page.until(lambda: page.text("run-state") == "RUNNING")
+        page.until(lambda: page.text("mode") == "playing")
         go()
-        page.until(lambda: page.text("step") == "39" and page.text("run-state") == "PAUSED")
+        page.until(lambda: page.text("step") == "39" and page.text("mode") == "paused")
     page.press("Resume")
-    page.until(lambda: page.text("run-state") == "RUNNING" and int(page.text("step")) < 39)
+    page.until(lambda: page.text("mode") == "playing" and int(page.text("step")) < 39)
     page.press("Pause")
-    page.until(lambda: page.text("run-state") == "PAUSED")
+    page.until(lambda: page.text("mode") == "paused")
 
 
 def test_one_step(page: Page):
@@ -305,9 +305,9 @@ def test_keys(page: Page):
     page.key("n")
     page.until(lambda: page.text("step") == "31")
     page.key("p")
-    page.until(lambda: page.text("run-state") == "RUNNING")
+    page.until(lambda: page.text("mode") == "playing")
     page.key("p")
-    page.until(lambda: page.text("run-state") == "PAUSED")
+    page.until(lambda: page.text("mode") == "paused")
     page.key("g")
     page.until(lambda: page.text("step") == "39")
     page.key("j")

@@ -171,7 +171,7 @@ def test_states_of_an_unknown_truth_are_estimates_alone():
     unknown.add(f._replace(truth=np.full_like(f.truth, np.nan)) for f in RUN.frames)
     html = states(RUN.stage, View(step=59), unknown)
     assert "nan" not in html.lower()
-    assert [len(line) for line in lines_of(html)][::2] == [0] * len(RUN.stage.state_names)
+    assert len(lines_of(html)) == len(RUN.stage.state_names)
 
 
 @pytest.mark.parametrize(("apart", "spread"), [(1e-15, 0.0), (1e-9, 1e-9), (0.5, 0.5)])

@@ -128,17 +128,22 @@ def test_the_table_tells_who_is_down_and_who_is_selected():
 def test_small_numbers_have_a_power_of_ten_in_the_heading():
     usual = node_table(RUN.stage, View(), FRAME)
     assert ">error</th>" in usual and ">3σ</th>" in usual
-    scores = FRAME.scores._replace(error=1e-4 * FRAME.scores.error, width=1e-4 * FRAME.scores.width)
-    small = node_table(RUN.stage, View(), FRAME._replace(scores=scores))
+    scores = FRAME.scores._replace(error=1e-4 * FRAME.scores.error)
+    belief = FRAME.belief._replace(cov=1e-8 * FRAME.belief.cov)
+    small = node_table(RUN.stage, View(), FRAME._replace(scores=scores, belief=belief))
     assert ">error 10⁻³</th>" in small and ">3σ 10⁻³</th>" in small
+    # The longest axis of the ellipse that the scene draws, of one standard deviation.
+    states = list(RUN.stage.score.states)
+    blocks = belief.cov[:, states][:, :, states]
+    longest = np.sqrt([np.linalg.svd(block, compute_uv=False)[0] for block in blocks])
     numbers = re.findall(r'class="why"[^>]*>([^<]*)</td>', small)
-    for shown, value in zip(numbers[1::2], 3e3 * scores.width, strict=True):
+    for shown, value in zip(numbers[1::2], 3e3 * longest, strict=True):
         assert float(shown) == pytest.approx(value, rel=5e-3)
 
 
 def test_large_numbers_are_written_in_full():
     assert [rounded(value) for value in (0.00123456, 7.0, 999.6, 2284.0, 76543.0)] == [
-        "0.00123", "7", "1000", "2280", "76500",
+        "0.00123", "7", "1000", "2280", "76\u202f500",
     ]  # fmt: skip
     assert (rounded(-7621.0, 2), rounded(3.2e7)) == ("-7600", "3.2e+07")
     scores = FRAME.scores._replace(error=2284 + 0 * FRAME.scores.error, rmse=2284.0)

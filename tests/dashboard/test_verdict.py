@@ -11,7 +11,7 @@ from concord.dashboard.frames.expected import Expected, nothing_expected
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.source import RecordedSource
 from concord.dashboard.frames.stage import set_stage
-from concord.dashboard.frames.verdict import STEPS, verdict
+from concord.dashboard.frames.verdict import STEPS, health, verdict
 from concord.dashboard.theme import DARK
 from concord.dashboard.view import View
 from concord.runtime.drivers import drive
@@ -116,3 +116,20 @@ def test_a_recording_tells_the_verdict_on_the_whole_run(tmp_path: Path):
     while source.pace().state == "LOADING":
         source.poll()
     assert source.pace().detail == "4 steps; the whole run: CHECK: too short; use more --steps"
+
+
+def test_where_no_node_reads_anything_there_is_no_verdict_on_errors():
+    blind = [frame._replace(seen=np.zeros_like(frame.seen)) for frame in RUN.frames[-STEPS:]]
+    judged = verdict(blind, UNKNOWN)
+    assert (judged.word, judged.is_good) == ("NO READINGS", None)
+    one = blind[-1]._replace(seen=np.arange(len(blind[-1].seen)) == 2)
+    assert verdict([*blind[:-1], one], UNKNOWN).word != "NO READINGS"
+
+
+def test_health_counts_cut_links_and_dead_nodes_beside_the_verdict():
+    frame = RUN.frames[-1]
+    none = np.zeros_like(frame.lost)
+    assert health(frame._replace(lost=none, cut=np.zeros_like(frame.cut))) == ""
+    cut, alive = np.zeros_like(frame.cut), frame.alive.copy()
+    cut[:2], alive[3] = True, False
+    assert health(frame._replace(lost=none, cut=cut, alive=alive)) == "2 links cut, 1 node down"

@@ -136,9 +136,9 @@ def test_rubbish_holds_up_nothing(rubbish: Said):
     assert [step.number for step in steps_of(mixed)] == list(range(STEPS))
 
 
-def offered(times_s: list[float]) -> list[tuple[float, int]]:
+def offered(times_s: list[float], at_once: int = 5) -> list[tuple[float, int]]:
     """When which step is offered, of steps that are over at these times, and asked for after."""
-    offering, told = ThrottledFeed(), []
+    offering, told = ThrottledFeed(at_once), []
     for number, now_s in enumerate(times_s):
         if (step := offering.take(WholeStep(number, []), now_s)) is not None:
             told.append((now_s, step.number))
@@ -175,6 +175,14 @@ def test_every_step_of_a_slow_network_is_offered(hurries: list[float]):
     for beat, late in zip(beats, hurries, strict=True):
         times_s.append(max(beat + late, *times_s[-1:]) if times_s else beat + late)
     assert [number for _, number in offered(times_s)] == list(range(len(hurries)))
+
+
+def test_a_slow_network_that_catches_up_after_a_stall_loses_no_step():
+    beats_s = [number / STEPS_PER_S for number in range(700)]
+    times_s = [beat_s if beat_s < 2 or beat_s > 30 else 30.0 for beat_s in beats_s]
+    feed = ThrottledFeed()
+    came = [feed.take(WholeStep(number, []), now_s) for number, now_s in enumerate(times_s)]
+    assert [step.number for step in came if step is not None] == list(range(700))
 
 
 def test_departures_that_are_over_are_forgotten():

@@ -6,8 +6,8 @@ Its cost does not grow with the network's speed.
 from concord.runtime.whole_steps import WholeStep
 
 STEPS_PER_S = 20.0
-# Largest burst of steps after a pause: steps do not arrive at even intervals.
-_AT_ONCE = 5
+AT_ONCE = 600
+"""Largest burst of steps: what a network at that rate catches up after a stall of half a minute."""
 
 
 class ThrottledFeed:
@@ -16,7 +16,8 @@ class ThrottledFeed:
     The last one before a rest is chosen always, if `due` is asked for once its time has come.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: int = AT_ONCE) -> None:
+        self._at_once = at_once
         self._free_s = float("-inf")
         self._kept: WholeStep | None = None
 
@@ -30,7 +31,9 @@ class ThrottledFeed:
         if self._kept is None or self.rest_s(now_s) > 0:
             return None
         step, self._kept = self._kept, None
-        self._free_s = max(self._free_s, now_s - (_AT_ONCE - 1) / STEPS_PER_S) + 1 / STEPS_PER_S
+        self._free_s = (
+            max(self._free_s, now_s - (self._at_once - 1) / STEPS_PER_S) + 1 / STEPS_PER_S
+        )
         return step
 
     @property
