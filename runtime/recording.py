@@ -221,11 +221,3 @@ def recorded_origin(path: Path) -> dict[str, str]:
         if isinstance(record, McapMessage):
             break
     return {}
-
-
-def is_closed(path: Path) -> bool:
-    """Say whether the writer of a recording has closed it in order."""
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - len(MCAP0_MAGIC)))
-        return size > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC

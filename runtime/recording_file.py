@@ -206,3 +206,11 @@ def whole_bytes(path: Path, since: int) -> int:
                 break
             end += HEADER.size + length
     return end
+
+
+def is_closed(path: Path) -> bool:
+    """Say whether the writer of a recording has closed it in order."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - len(MCAP0_MAGIC)))
+        return size > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC

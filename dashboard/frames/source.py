@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Protocol
 from concord.dashboard.frames.assembler import Assembler
 from concord.dashboard.frames.frame import LogEntry, StepFrame
 from concord.dashboard.frames.stage import Stage
-from concord.runtime.recording import is_closed, read_recording
+from concord.runtime.recording import read_recording
+from concord.runtime.recording_file import is_closed
 from concord.runtime.whole_steps import WholeStep, WholeSteps
 
 
