@@ -10,7 +10,6 @@ import numpy as np
 from concord.filters.linalg import cholesky, inverse_spd, symmetrise
 from concord.results.figures.intervals import Interval, ratio_t
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 from concord.studies.exact.network import ExactNetwork, exact_network
 from concord.studies.exact.propagation import Joint, StepMap, beginning, moved, propagate
