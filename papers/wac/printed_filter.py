@@ -98,7 +98,7 @@ def _scored(plant: LinearPlant, error: str, seed: int) -> PrintedOutcome:
         except ValueError:
             return PrintedOutcome(np.nan, np.nan)
         mean = np.einsum("kj,rjn->rkn", averaging, mean)
-        cov = symmetrise(np.einsum("kj,rjnm->rinm", averaging, cov))
+        cov = symmetrise(np.einsum("kj,rjnm->rknm", averaging, cov))
         away = mean - truth[:, None]
         squares.append(away[..., 0] ** 2)
         scores.append(_nees(away, cov))
