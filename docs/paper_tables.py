@@ -37,7 +37,7 @@ def claims_of(report: dict[str, Any]) -> str:
     """The claims of a paper with what a report (`report.json`) measured."""
     claims = [claim for section in report["sections"] for claim in section["claims"]]
     rows = [(one["where"], one["says"], one["verdict"], one["measured"]) for one in claims]
-    table = markdown_table(("where", "the paper says", "verdict", "what was measured"), rows)
+    table = markdown_table(("where", "the paper says", "verdict", "measured"), rows)
     return (
         f"## Claims: {len(claims)}\n\n`concord reproduce {report['paper']}` measured this with "
         f"seed {report['seed']} and {report['runs']} runs.\n\n{table}"

@@ -3,7 +3,7 @@
 A share is a direction u (n,), the mean along it, and its variance: n + 2 numbers in place of n + n
 (n + 1) / 2. It is fused by covariance intersection of a whole belief with a part of one. Source:
 Forsling, Noack and Hendeby (2024), A quarter century of covariance intersection: correlations still
-unknown?, IEEE Control Systems 44; dimension reduction by generalised eigenvalues as in Forsling,
+unknown?, IEEE Control Systems 44. Dimension reduction by generalised eigenvalues as in Forsling,
 Sjanic, Gustafsson and Hendeby (2022), Communication efficient decentralized track fusion.
 
     concord run --scenario oscillator --rule examples/rules/few_directions.py:DIRECTIONS

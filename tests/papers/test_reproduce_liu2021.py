@@ -8,10 +8,10 @@ import pytest
 
 from concord.experiments.__main__ import main
 from concord.papers.kit.report import check_runs
+from concord.papers.liu2021 import reproduce, runs
 from concord.papers.liu2021.claims import claims
 from concord.papers.liu2021.comparisons import Mutant, mutant_of_rule, mutant_of_sign
 from concord.papers.liu2021.figures import blocks
-from concord.papers.liu2021 import reproduce, runs
 from concord.papers.liu2021.reproduce import PAPER
 from concord.papers.liu2021.runs import ESTIMATORS, simulate
 from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
