@@ -34,7 +34,7 @@ class Diagonal:
 
     def sound(self, shares: np.ndarray) -> np.ndarray:
         variances = shares[..., shares.shape[-1] // 2 :]
-        return np.isfinite(shares).all(axis=-1) & (variances > 0).all(axis=-1)
+        return np.asarray(np.isfinite(shares).all(axis=-1) & (variances > 0).all(axis=-1))
 
     def usable(self, prior: Gaussian, shares: np.ndarray) -> None:
         return None

@@ -47,7 +47,7 @@ class Directions:
         """The own belief with the directions that were heard, one after the other."""
         mean, cov = belief
         for j in range(1, shares.shape[-2]):
-            heard = np.isfinite(shares[..., j, :]).all(axis=-1)
+            heard = np.asarray(np.isfinite(shares[..., j, :]).all(axis=-1))
             other = np.where(heard[..., None], shares[..., j, :], known)
             found = with_direction(Gaussian(mean, cov), other)
             mean = np.where(heard[..., None], found.mean, mean)

@@ -41,7 +41,7 @@ class Split:
         return np.concatenate((shares[..., :n] + turns, shares[..., n:]), axis=-1)
 
     def sound(self, shares: np.ndarray) -> np.ndarray:
-        return np.isfinite(shares).all(axis=-1)
+        return np.asarray(np.isfinite(shares).all(axis=-1))
 
     def usable(self, prior: Gaussian, shares: np.ndarray) -> None:
         return None
@@ -52,7 +52,7 @@ class Split:
         n = prior.mean.shape[-1]
         mean, shared, own = parts(shares[..., 0, :], n)
         for j in range(1, shares.shape[-2]):
-            heard = np.isfinite(shares[..., j, :]).all(axis=-1)
+            heard = np.asarray(np.isfinite(shares[..., j, :]).all(axis=-1))
             other = parts(np.where(heard[..., None], shares[..., j, :], shares[..., 0, :]), n)
             found = pair((mean, shared, own), other)
             mean = np.where(heard[..., None], found[0], mean)

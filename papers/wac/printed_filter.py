@@ -154,7 +154,7 @@ def _updated(
         gain = cross / innovation_cov
         updated = mean + (gain @ np.nan_to_num(z)[..., None])[..., 0]
         after = symmetrise(cov - gain @ innovation_cov @ gain.mT)
-    there = ~blind.all(axis=-1)
+    there = np.logical_not(np.asarray(blind.all(axis=-1)))
     return (
         np.where(there[:, None], updated, mean),
         np.where(there[:, None, None], after, cov),
