@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare laboratory stories docs pictures lock clean
+.PHONY: browser extras screenshots paper-tables demo test test-slow test-all check format bench bench-compare laboratory stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --driver processes
@@ -30,6 +30,10 @@ browser:
 
 screenshots: .venv/dev.stamp browser
 	$(BIN)/python -m docs.screenshots
+
+paper-tables: .venv/dev.stamp
+	for paper in meng2025 liu2021 adlukf wac; do $(BIN)/concord reproduce $$paper --out build/papers/$$paper; done
+	$(BIN)/python -m docs.paper_tables build/papers/*
 
 test-slow: .venv/dev.stamp
 	$(PYTEST) -n $(LONG_WORKERS) -m "$(LONG)"

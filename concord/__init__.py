@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from concord.experiments.python_api import simulate as simulate
     from concord.experiments.python_studies import compare as compare
     from concord.experiments.python_studies import design as design
+    from concord.experiments.python_studies import exact as exact
     from concord.experiments.python_studies import plots as plots
     from concord.experiments.python_studies import sweep as sweep
     from concord.plants.linear_systems import from_control as from_control
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from concord.scenarios.types import holds as holds
     from concord.scenarios.types import rules as rules
     from concord.scenarios.types import schedules as schedules
+    from concord.studies.exact.truth import PlantTruth as PlantTruth
 
 
 if not TYPE_CHECKING:  # A checker would believe that concord has every name.

@@ -10,6 +10,7 @@ from concord.entries import summaries
 from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
+from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, in_words
 from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.option import Choice, python_words, require_kind
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from concord.studies.exact.results import Exact
+    from concord.studies.exact.truth import PlantTruth
+
 from concord.experiments.python_api import at_least_one
 
 
@@ -44,6 +48,7 @@ def sweep(
     keep: Literal["moments", "figures", "histories"] | None = None,
     workers: int = 1,
     out: Path | str | None = None,
+    exact: bool = False,
     **options: Any,
 ) -> "xarray.Dataset":
     """Every combination of the options' values; docs/sweeps.md names the variables.
@@ -56,6 +61,7 @@ def sweep(
             and moments of more than 1e8 estimates.
         workers: processes; with more than one, a script needs `if __name__ == "__main__":`.
         out: netCDF file to keep the result and, on the way, each finished piece in.
+        exact: expectations over all noise; a run is then a pattern of losses (docs/exact.md).
         options: one value, or several in a list; ranges as text, "0.1..1".
 
     Raises:
@@ -63,7 +69,8 @@ def sweep(
     """
     # Another process, or a later call that resumes, finds own values by their files alone.
     is_alone = workers == 1 and out is None
-    specification = with_keep(_specification(scenario, options, runs, samples, is_alone), keep)
+    asked = _specification(scenario, options, runs, samples, is_alone, exact)
+    specification = with_keep(asked, keep)
     begun = begin(specification, None if out is None else Path(out), workers_here(workers))
     dataset = finish(begun, engine_for(workers, None), lambda _: None).dataset
     assert dataset is not None, "only a shard has none"
@@ -79,6 +86,7 @@ def compare(
     data: Path | str | None = None,
     workers: int = 1,
     out: Path | str | None = None,
+    exact: bool = False,
 ) -> "xarray.Dataset":
     """Every built-in rule and your own on a fixed suite of cases; docs/which_rule_when.md.
 
@@ -90,6 +98,7 @@ def compare(
         workers: processes; with more than one, a rule must be at the top of a file.
         out: folder that keeps each finished entry, and gets report.html, results.nc, table.tex,
             table.md and compare.json.
+        exact: take errors from exact second moments where a case and a rule have them.
 
     Returns:
         rmse, rmse_centralised, anees, bytes_per_step, wire_us (case, rule, run), node_us and
@@ -105,7 +114,7 @@ def compare(
         source if name in summaries("RULES") or names.count(name) > 1 else name: source
         for name, source in zip(names, sources, strict=True)
     }
-    entries = entries_of(asked_cases(cases, runs), own, None if data is None else str(data))
+    entries = entries_of(asked_cases(cases, runs), own, None if data is None else str(data), exact)
     check_together(entries, workers_here(workers))
     engine, folder = engine_for(workers, None), None if out is None else Path(out)
     done = kept_before(entries, folder)
@@ -113,6 +122,35 @@ def compare(
     if folder is not None:
         write_comparison(dataset, comparison_figures(dataset), folder)
     return dataset
+
+
+@python_words()
+def exact(
+    scenario: Scenario,
+    *,
+    patterns: int = 20,
+    truth: "PlantTruth | None" = None,
+) -> "Exact":
+    """The errors of a network on a linear plant, exact to rounding, without runs; docs/exact.md.
+
+    Args:
+        scenario: what to compute.
+        patterns: of losses, those of so many runs; without losses one is enough.
+        truth: what the plant really does where the filters believe something else.
+
+    Returns:
+        second moments of the errors of each node in each step, with rmse, honesty, steady state.
+
+    Raises:
+        ValueError: a scenario without exact covariances; the message says why.
+    """
+    # Only here: studies of runs need nothing of it.
+    from concord.studies.exact.results import exact_of
+
+    require_kind("scenario", scenario, Scenario, "a scenario, such as cc.scenario('oscillator')")
+    at_least_one("patterns", patterns)
+    first = scenario.run
+    return exact_of(prepare(scenario), range(first, first + patterns), truth)
 
 
 @python_words()
@@ -125,6 +163,7 @@ def design(
     load: float | None = None,
     runs: int = 100,
     workers: int = 1,
+    exact: bool = False,
     **options: Any,
 ) -> Design:
     """The cheapest network that meets an error target; its `recommended` is None if none does.
@@ -137,6 +176,7 @@ def design(
         load: greatest fraction of a cycle in which the bus carries frames.
         runs: fresh runs that confirm the recommended network.
         workers: processes; with more than one, a script needs `if __name__ == "__main__":`.
+        exact: take errors from exact second moments where a candidate has them.
         options: one value is settled, of several in a list the search takes the best.
 
     Raises:
@@ -152,7 +192,7 @@ def design(
     placements = placements_of(specification)
     task = SearchTask(
         target, minimise, settled, space, runs, engine, workers_here(workers), lambda _: None,
-        placements=placements, limits=limits,
+        placements=placements, limits=limits, exact=exact,
     )  # fmt: skip
     return design_of(task, search(task, [], []), True)
 
@@ -185,6 +225,7 @@ def _specification(
     runs: int,
     samples: int | None,
     is_alone: bool,
+    exact: bool = False,
 ) -> Specification:
     at_least_one("runs", runs)
     if isinstance(scenario, Scenario):
@@ -195,7 +236,7 @@ def _specification(
     else:
         options = {"scenario": scenario, **options}
     asked = {name: _values(name, values) for name, values in options.items()}
-    return specify(asked, runs=runs, samples=samples)
+    return specify(asked, runs=runs, samples=samples, exact=exact)
 
 
 def _values(name: str, values: Any) -> str:

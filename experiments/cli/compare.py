@@ -33,6 +33,8 @@ class CompareOptions:
     """Cases of the suite, with commas; all when left out."""
     runs: int | None = None
     """Monte-Carlo runs of every case that is not recorded; those of the suite when left out."""
+    exact: bool = False
+    """Take errors from exact second moments where a case and a rule have them."""
     data: Path | None = None
     """Folder of the data of recorded cases, which are skipped when left out."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -52,7 +54,7 @@ def compare(options: Annotated[CompareOptions, tyro.conf.arg(name="")]) -> None:
         own = own_rules(_listed(options.rule))
         data = None if options.data is None else str(options.data)
         engine = engine_for(options.workers, None)
-        entries = entries_of(cases, own, data)
+        entries = entries_of(cases, own, data, options.exact)
         check_together(entries, workers_here(options.workers))
         make_folder(out, "--out")
     done = kept_before(entries, out)

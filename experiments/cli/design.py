@@ -48,6 +48,8 @@ class DesignOptions:
     minimise: Annotated[Cost, FIRST] = "bytes"
     """Cost to minimise: bytes or microseconds of the bus per step, nodes that publish per cycle, or
     energy per step."""
+    exact: Annotated[bool, FIRST] = False
+    """Take errors from exact second moments where plant and rule have them, and from runs else."""
     latency_ms: float | None = None
     """Longest delay from a measurement to the end of the last share of its step."""
     load: float | None = None
@@ -93,7 +95,7 @@ def design(
         task = SearchTask(
             target, output.minimise, settled, space, output.runs, engine,
             workers_here(output.workers, output.dask), _say, shown_briefly,
-            placements_of(specification), limits,
+            placements_of(specification), limits, output.exact,
         )  # fmt: skip
     kept: list[Candidate] = []
     refused: list[RefusedCandidate] = []

@@ -49,6 +49,9 @@ class SweepOptions:
 
     runs: Annotated[int, FIRST] = 20
     """Monte-Carlo runs of every cell. Run r has the same noise in every cell."""
+    exact: Annotated[bool, FIRST] = False
+    """Expectations over all noise in place of runs: linear plants, schedules without contention. A
+    run is then a pattern of losses, and without losses intervals have no width (docs/exact.md)."""
     latin_hypercube: Annotated[int | None, FIRST] = None
     """So many cells spread over the values and ranges (0.1..1) instead of every combination."""
     change_step: int = 0
@@ -92,6 +95,7 @@ def sweep(
                 runs=output.runs,
                 samples=output.latin_hypercube,
                 change_step=output.change_step,
+                exact=output.exact,
             ),
             output.keep,
         )

@@ -152,7 +152,7 @@ def _sensitivity(e: SimpleNamespace) -> list[Claim]:
                 *(needs(ratio, at_least=SENSITIVE) for ratio in e.ckf_ratio),
             ],
             "RMSE(2 I) / RMSE(0.01 I) of v_x and yaw rate: ADLUKF "
-            f"{_values(e.adlukf_ratio)} (within {low:g} and {high:g}), CKF {_values(e.ckf_ratio)} "
+            f"{_values(e.adlukf_ratio)} (within {low:g} and {high:g}). CKF {_values(e.ckf_ratio)} "
             f"(above {SENSITIVE:g})"),
         Claim("Table 3", "with R0 = 2 I instead of 0.01 I the CKF's side slip is 41 times worse",
             [needs(ratio, at_least=_TENFOLD) for ratio in e.ckf_side_slip_ratio],

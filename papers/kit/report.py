@@ -145,7 +145,8 @@ def _summary(report: ReproductionReport) -> str:
     return "\n".join(lines)
 
 
-def _tables(section: Section) -> Iterator[str]:
+def claim_tables(section: Section) -> Iterator[str]:
+    """Yield the tables of the claims and of the errata of a section."""
     if section.claims:
         rows = [
             (
@@ -160,6 +161,10 @@ def _tables(section: Section) -> Iterator[str]:
     if section.errata:
         rows = [(str(e.number), e.where, e.printed, e.correct) for e in section.errata]
         yield markdown_table(("number", "where", "printed", "correct"), rows)
+
+
+def _tables(section: Section) -> Iterator[str]:
+    yield from claim_tables(section)
     if section.checks:
         rows = [
             (

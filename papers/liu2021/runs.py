@@ -124,6 +124,9 @@ FAMILIES: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
 
 # --- the estimators ------------------------------------------------------------------------------
 
+PRIOR_SHAPE = np.eye(N)
+"""Shape of the ball that holds the first state: section VI starts within 1 of zero."""
+
 # The paper writes a plain trace, and its tables and figures need it.
 printed_step: CycleStep = partial(optimal_step, criterion=plain_trace)
 printed_fast_step: CycleStep = partial(closed_form_step, criterion=plain_trace)
@@ -136,7 +139,7 @@ def by_cycle(
     plant: MeasuredPlant = PLANT,
 ) -> BoundedEstimates:
     """The paper's estimator, exact or fast, on the augmented state; `see` may falsify a cycle."""
-    unit = np.broadcast_to(np.eye(N), (batch.sequences, N, N))
+    unit = np.broadcast_to(PRIOR_SHAPE, (batch.sequences, N, N))
     first = Ellipsoid(np.zeros((batch.sequences, N)), unit)
     found = histories.by_cycle(step, plant, batch.received, first, see)
     g = plant.length
@@ -176,7 +179,7 @@ def zonotopes(batch: SequenceBatch) -> BoundedEstimates:
 
 
 def _history(batch: SequenceBatch, method: str, plant: MeasuredPlant) -> SetHistory:
-    first = np.zeros(N), np.eye(N)
+    first = np.zeros(N), PRIOR_SHAPE
     return histories.sets_over(plant, batch.received, *first, method, plain_trace)
 
 

@@ -106,7 +106,7 @@ def _signed(one: Interval) -> str:
 
 # --- errata, numbered as docs/papers/meng2025.md explains them -----------------------------------
 
-_PRINTED = (
+PRINTED = (
     ("(19)", "P_yy with noise on the fresh rows alone", "singular beyond 2n + 1 entries"),
     ("(17), (18)", "held rows predicted for another instant", "the held value is known: use it"),
     ("(19)", "held values without noise", "the noise that is in a held value"),
@@ -136,7 +136,7 @@ def errata(recommended: SlotEstimates, rows: dict[str, EstimatorRow]) -> list[Er
         16: f": {100 * recommended.sent.mean():.1f} % of the measurements are sent; with all of "
         f"them the mean square error is smaller by a factor of {ours / every:.1f}",
     }
-    return errata_from(_PRINTED, added)
+    return errata_from(PRINTED, added)
 
 
 def order_of_slots(outcome: SlotEstimates, slots: int) -> str:

@@ -12,9 +12,9 @@ from concord.features.control.motor import motor_position, motor_speed
 from concord.features.control.pitch import pitch
 from concord.features.control.suspension import suspension
 from concord.papers.kit.side_by_side import side_by_side
-from concord.papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
-from concord.papers.wac.exact_rules import RULES
 from concord.plants.linear import LinearPlant
+from concord.studies.exact.averaged_errors import figures_of, network_of, over_nodes, propagate
+from concord.studies.exact.averaged_rules import RULES
 from concord.topology.graphs import build_graph
 from concord.topology.weights import metropolis
 

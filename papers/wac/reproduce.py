@@ -10,11 +10,20 @@ from pathlib import Path
 
 from concord.papers.kit.figures import shown, write_traces
 from concord.papers.kit.report import Paper, Section
-from concord.papers.wac import bus, exact, figures, loops, responses, unstable
+from concord.papers.wac import (
+    baselines,
+    bus,
+    exact,
+    figures,
+    loops,
+    printed_filter,
+    responses,
+    unstable,
+)
 from concord.papers.wac.claims import ERRATA, gather, judge
 from concord.studies.progress import progress
 
-CLAIMS, LIST, FIGURES, LOOPS, UNSTABLE, BUS = range(6)
+CLAIMS, LIST, FIGURES, LOOPS, UNSTABLE, BASELINES, PRINTED, BUS = range(8)
 MOTOR_SHARE = 2
 """A motor needs half as many runs as a target."""
 
@@ -39,7 +48,11 @@ def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     text = [_NETWORK, *map(shown, _CAPTIONS, pictures)]
     yield Section(FIGURES, "Figures", "\n\n".join(text), data={"files": pictures})
     _write(folder, trials)
+    yield printed_filter.section(PRINTED, printed_filter.measure(seed))
+    sensorless = baselines.sensorless(seed)
+    yield baselines.section(BASELINES, folder, baselines.measure(), sensorless)
     claims = judge(gather(measured, exact.measure(), without_bound, trials))
+    claims += baselines.claims(measured, sensorless)
     yield Section(CLAIMS, "Claims of the paper", claims=claims)
     yield Section(LIST, "Errata", errata=ERRATA)
     tracking = bus.track(seed, runs)

@@ -12,8 +12,8 @@ import numpy as np
 
 from concord.papers.kit.judging import Check, below
 from concord.papers.kit.report import Section, markdown_table
-from concord.papers.wac.exact_covariance import LinearNetwork, Moments, propagate
-from concord.papers.wac.exact_rules import RULES
+from concord.studies.exact.averaged_errors import LinearNetwork, Moments, propagate
+from concord.studies.exact.averaged_rules import RULES
 from concord.topology.graphs import ring
 from concord.topology.weights import metropolis
 

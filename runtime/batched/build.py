@@ -158,7 +158,7 @@ def _segments(
         standing_states = [with_standing(state, standing) for state in states]
         lost = None
         if not standing_states[0].perfect:
-            lost = partial(_lost, standing_states, links, partial(frames_of, changed, bus))
+            lost = partial(lost_frames, standing_states, links, partial(frames_of, changed, bus))
         yield RunSegment(step, settings, present, joined, lost)
 
 
@@ -166,7 +166,7 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
     """Rule and bus of a setup whose settings are those that stand."""
     wiring = definition_of(setup.scenario).wiring(setup.scenario)
     if wiring is None:
-        rule = rule_of(setup.scenario).batched(_batch_context(setup, bus, links, standing))
+        rule = rule_of(setup.scenario).batched(batch_context(setup, bus, links, standing))
     else:
         assert wiring.batched is not None, "without_array_form has refused it"
         rule = wiring.batched(setup, bus, links)
@@ -182,7 +182,10 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
     )
 
 
-def _batch_context(setup: Setup, bus: Bus, links: Links, standing: Standing) -> BatchContext:
+def batch_context(
+    setup: Setup, bus: Bus, links: Links, standing: Standing = UNCHANGED
+) -> BatchContext:
+    """Return the input of a setup's rule at all nodes of many runs."""
     scenario = setup.scenario
     definition = definition_of(scenario)
     own = np.array([row[0] for row in setup.weights])
@@ -239,7 +242,7 @@ def framed(
     return np.where(sends, frames, 0), np.where(sends, payload, 0)
 
 
-def _lost(
+def lost_frames(
     states: list[LinkState],
     links: Links,
     frames_in: Callable[[int], tuple[np.ndarray, np.ndarray]],

@@ -142,6 +142,8 @@ class Rule(NamedTuple):
         consistent: it claims that covariances cover the errors, or that sets hold the truth.
         weighted: the network's consensus weights are used.
         share_bytes: (scenario, states) -> length of the longest share of a rule without `share`.
+        plain: builds the batched rule as it is at a node, without a faster form; None of a rule
+            that is not written once.
     """
 
     share: ShareKind | None
@@ -156,6 +158,7 @@ class Rule(NamedTuple):
     weighted: bool = True
     consistent: bool = True
     share_bytes: Callable[[Scenario, int], int] | None = None
+    plain: Callable[[BatchContext], "BatchedRule"] | None = None
 
     @property
     def set_valued(self) -> bool:
@@ -190,7 +193,7 @@ def once(
         # Where states are angles, each receiver has turns of its own, which no matrix averages.
         return plain(context) if batched is None or context.rule.angles else batched(context)
 
-    return Rule(share, at_one, at_all, **properties)
+    return Rule(share, at_one, at_all, plain=plain, **properties)
 
 
 def share_codec(share: ShareKind, context: RuleContext) -> VectorCodec:

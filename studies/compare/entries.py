@@ -83,9 +83,10 @@ def own_rules(names: Sequence[str]) -> dict[str, str]:
 
 
 def entries_of(
-    cases: Sequence[Case], own: Mapping[str, str], data: str | None
+    cases: Sequence[Case], own: Mapping[str, str], data: str | None, exact: bool = False
 ) -> list[ComparedEntry]:
-    """Return each rule on each case, case by case; `own` are sources of rules by name.
+    """Return each rule on each case, case by case; `own` are sources of rules by name, and with
+    `exact` figures need no noise where a case and a rule have exact ones.
 
     Raises:
         ValueError: recorded data that cannot be read.
@@ -98,7 +99,9 @@ def entries_of(
             (cell,) = cells_of(specify({**case.options, "data": data}, runs=1))
             prepare(cell.scenario)
     rules = {name: name for name in summaries("RULES")} | dict(own)
-    return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
+    return [
+        _entry(case, name, source, data, exact) for case in cases for name, source in rules.items()
+    ]
 
 
 def check_together(entries: Sequence[ComparedEntry], workers: int) -> None:
@@ -116,7 +119,7 @@ def check_together(entries: Sequence[ComparedEntry], workers: int) -> None:
     check_workers(needs, workers)
 
 
-def _entry(case: Case, name: str, source: str, data: str | None) -> ComparedEntry:
+def _entry(case: Case, name: str, source: str, data: str | None, exact: bool) -> ComparedEntry:
     options = {**case.options, "rule": source}
     network = definition_named(case.options["scenario"]).defaults
     if hasattr(network.with_known(rule=source)[0].rule, "number"):
@@ -125,6 +128,6 @@ def _entry(case: Case, name: str, source: str, data: str | None) -> ComparedEntr
         if data is None:
             return ComparedEntry(case, name, None, DATA_MISSING)
         options["data"] = data
-    specification = specify(options, runs=case.runs)
+    specification = specify(options, runs=case.runs, exact=exact)
     _, bad = sorted_out(cells_of(specification))
     return ComparedEntry(case, name, specification, str(bad[0][1]) if bad else "")

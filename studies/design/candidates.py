@@ -105,8 +105,10 @@ def with_runs(
     on_runs: Callable[[int], None],
     first_run: int = 0,
     placements: Sequence[Value] = (),
+    exact: bool = False,
 ) -> list[Candidate]:
-    """Return the same candidates with so many runs each, from `first_run` on.
+    """Return the same candidates with so many runs each, from `first_run` on; `exact` as in a
+    `Piece`.
 
     Run r has the same noise for every candidate, so that they are compared on what they share; and
     the same placement of sensors, one of `placements` after the other. `on_runs` is told how many
@@ -123,7 +125,8 @@ def with_runs(
                 some = mine[first : first + AT_ONCE]
                 start = first_run + int(some[0]) // max(1, len(placements))
                 text = msgspec.json.encode(scenario)
-                pieces.append(Piece(len(pieces), text, start, start + len(some)))
+                one_piece = Piece(len(pieces), text, start, start + len(some), exact=exact)
+                pieces.append(one_piece)
                 places.append(np.stack([np.full(len(some), place), some]))
     more: dict[int, list[tuple[np.ndarray, dict[str, np.ndarray]]]] = {}
     done = 0

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.results.figures.intervals import Interval
+from concord.scenarios.preparation import prepare
 from concord.studies.design.age_bound import bound_steps_of
 from concord.studies.design.candidates import (
     Candidate,
@@ -45,7 +46,7 @@ class SearchTask(NamedTuple):
 
     `placements` of sensors are those that the network must bear: runs take one after the other.
     `say` receives the progress messages; `progress` shows how far the runs of a title are, of so
-    many.
+    many. With `exact`, candidates that have exact figures need no noise.
     """
 
     target: DesignTarget
@@ -61,6 +62,7 @@ class SearchTask(NamedTuple):
     )
     placements: tuple[Value, ...] = ()
     limits: BusLimits = BusLimits()
+    exact: bool = False
 
 
 class Confirmed(NamedTuple):
@@ -137,7 +139,7 @@ def _look(
 ) -> None:
     new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused), task.workers)
     refused += bad
-    task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each")
+    task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each{_by_runs(new) if task.exact else ''}")
     for one in _with_runs(task, new, LOOK_RUNS):
         if (excess := task.limits.excess(one.figures)) is not None:
             refused.append(RefusedCandidate(one.cell.values, excess))
@@ -148,12 +150,25 @@ def _look(
             kept.append(one)
 
 
+def _by_runs(candidates: Sequence[Candidate]) -> str:
+    """Return how many candidates are exact, and why others are not."""
+    # Only here: a design by runs needs nothing of it.
+    from concord.studies.exact.network import why_not
+
+    found = [why_not(prepare(one.cell.scenario)) for one in candidates]
+    reasons = [reason for reason in found if reason is not None]
+    exact = f"; {len(found) - len(reasons)} of them exactly, from second moments"
+    return f"{exact}; {len(reasons)} by runs ({reasons[0]})" if reasons else exact
+
+
 def _with_runs(
     task: SearchTask, candidates: Sequence[Candidate], runs: int, first_run: int = 0
 ) -> list[Candidate]:
     missing = sum(max(0, runs - one.runs) for one in candidates)
     with task.progress("runs", missing) as on_runs:
-        return with_runs(candidates, runs, task.engine, on_runs, first_run, task.placements)
+        return with_runs(
+            candidates, runs, task.engine, on_runs, first_run, task.placements, task.exact
+        )
 
 
 def _centres(task: SearchTask, known: Sequence[Candidate]) -> list[Candidate]:

@@ -44,7 +44,7 @@ def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
     Raises:
         ValueError: naming the first cell that cannot, why, and how many more there are.
     """
-    good, bad = sorted_out(cells := cells_of(specification))
+    good, bad = sorted_out(cells := cells_of(specification), exact=specification.exact)
     if bad:
         cell, reason = bad[0]
         more = f"; {len(bad) - 1} more of its cells cannot run" if len(bad) > 1 else ""
@@ -71,15 +71,21 @@ def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
 
 
 def sorted_out(
-    cells: Sequence[Cell], runs: int = 1
+    cells: Sequence[Cell], runs: int = 1, exact: bool = False
 ) -> tuple[list[Cell], list[tuple[Cell, ValueError]]]:
-    """Return the cells that can compute so many runs at once, and the others with the reason."""
+    """Return the cells that can compute so many runs at once, with exact figures where asked, and
+    the others with the reason."""
     good: list[Cell] = []
     bad: list[tuple[Cell, ValueError]] = []
     for cell in cells:
         try:
             check_memory(cell.scenario, runs)
-            prepare(cell.scenario)
+            setup = prepare(cell.scenario)
+            if exact:
+                # Only here: a study of runs needs nothing of it.
+                from concord.studies.exact.network import exact_network
+
+                exact_network(setup)
         except ValueError as error:
             bad.append((cell, error))
         else:

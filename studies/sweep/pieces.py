@@ -37,13 +37,14 @@ REDUCED = {
 
 class Piece(NamedTuple):
     """Runs `first` to before `last` of a cell, and what is kept of them; the scenario as JSON, to
-    travel anywhere."""
+    travel anywhere. `exact`: expectations over the noise, where the scenario has them."""
 
     cell: int
     scenario: bytes
     first: int
     last: int
     keep: str = "histories"
+    exact: bool = False
 
     @property
     def runs(self) -> int:
@@ -71,7 +72,8 @@ def digest_of(piece: Piece, digests: dict[str, str], by: Origin) -> str:
     out, so that another sweep finds the same runs of the same scenario.
     """
     used = {name: digest for name, digest in digests.items() if name.encode() in piece.scenario}
-    content = (piece.scenario.decode(), piece.first, piece.last, piece.keep, used, by)
+    kept = f"{piece.keep}, exact" if piece.exact else piece.keep
+    content = (piece.scenario.decode(), piece.first, piece.last, kept, used, by)
     return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:32]
 
 
@@ -97,7 +99,9 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
         text = msgspec.json.encode(cell.scenario)
         for first in range(0, specification.runs, at_once):
             last = min(first + at_once, specification.runs)
-            pieces.append(Piece(cell.number, text, first, last, specification.keep))
+            pieces.append(
+                Piece(cell.number, text, first, last, specification.keep, specification.exact)
+            )
     return pieces
 
 
@@ -105,6 +109,8 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
 def compute(piece: Piece) -> dict[str, np.ndarray]:
     """Return the figures of a piece (`figure_table.FIGURES`), reduced as far as it says."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
+    if piece.exact and (figures := _exactly(piece)) is not None:
+        return reduced(figures, REDUCED[piece.keep]) if REDUCED[piece.keep] else figures
     runs = simulate(setup, range(piece.first, piece.last))
     frame = frame_of(runs)
     parts, names = CellParts(piece.first), REDUCED[piece.keep]
@@ -115,6 +121,18 @@ def compute(piece: Piece) -> dict[str, np.ndarray]:
         figures = computed(RunView(runs.of(place), frame.of(place)))
         parts.add(part, reduced(figures, names) if names else figures)
     return parts.figures()
+
+
+def _exactly(piece: Piece) -> dict[str, np.ndarray] | None:
+    """Return the exact figures of a piece; None where the scenario has none."""
+    # Only here: a study of runs needs nothing of it.
+    from concord.studies.exact.figures import exact_figures
+    from concord.studies.exact.truth import NotExact
+
+    try:
+        return exact_figures(piece.scenario, piece.first, piece.last)
+    except NotExact:
+        return None
 
 
 class CellParts:

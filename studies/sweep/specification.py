@@ -44,6 +44,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
         change_step: the step from which convergence is timed.
         keep: "histories" of every step of a run, "figures" of every run, or "moments" over runs.
         digests: of the files that values come from (FILE.py:NAME), and of folders of recorded data.
+        exact: figures are expectations over the noise; a run is a pattern of losses.
     """
 
     base: dict[str, Value]
@@ -54,6 +55,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
     change_step: int = 0
     keep: str = "histories"
     digests: dict[str, str] = {}
+    exact: bool = False
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -92,6 +94,7 @@ def specify(
     runs: int = 20,
     samples: int | None = None,
     change_step: int = 0,
+    exact: bool = False,
 ) -> Specification:
     """Return the sweep that options say: comma lists of values, or low..high, by field.
 
@@ -129,7 +132,7 @@ def specify(
     digests |= {folder: _digest_of_folder(Path(folder)) for folder in folders}
     return Specification(
         base=base, levels=levels, ranges=ranges, runs=runs, samples=samples,
-        change_step=change_step, digests=digests,
+        change_step=change_step, digests=digests, exact=exact,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from concord.experiments.__main__ import main
 from concord.papers.kit.report import check_runs
+from concord.papers.liu2021 import reproduce, runs
 from concord.papers.liu2021.claims import claims
 from concord.papers.liu2021.comparisons import Mutant, mutant_of_rule, mutant_of_sign
 from concord.papers.liu2021.figures import blocks
@@ -93,3 +94,16 @@ def test_the_command_writes_its_report_and_figures(tmp_path: Path, capsys):
 def test_no_sequences_are_refused():
     with pytest.raises(ValueError, match="at least 1"):
         check_runs(PAPER, 0)
+
+
+def test_a_prior_that_is_too_small_fails_its_check(monkeypatch: pytest.MonkeyPatch):
+    starts, _ = runs.initial_and_noise(1, 20, 1)
+    assert all(check.ok for check in reproduce.prior_checks(starts))
+    monkeypatch.setattr(reproduce, "PRIOR_SHAPE", 0.9**2 * reproduce.PRIOR_SHAPE)
+    assert not any(check.ok for check in reproduce.prior_checks(starts))
+
+
+def test_the_trace_of_the_fast_form_is_pinned():
+    batch = runs.simulate(5, 0, reproduce.CYCLES)
+    fast = runs.ESTIMATORS["fast"](batch).trace[:, 0].mean()
+    assert fast == pytest.approx(reproduce.FAST_TRACE, rel=1e-4)

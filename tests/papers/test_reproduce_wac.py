@@ -323,7 +323,7 @@ def test_the_whole_paper(tmp_path: Path, capsys):
     assert told["ok"]
     names = [part["title"] for part in told["sections"]]
     assert names[:2] == ["Claims of the paper", "Errata"]
-    assert len(names) == 6
+    assert len(names) == 8
     text = (tmp_path / "wac" / "report.md").read_text(encoding="utf-8")
     for file in next(part["data"]["files"] for part in told["sections"] if "files" in part["data"]):
         assert f"({file})" in text

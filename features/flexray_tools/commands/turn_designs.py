@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Sequence
-from functools import partial
 from math import sqrt
 from pathlib import Path
 from typing import Annotated, cast
@@ -20,26 +19,18 @@ from concord.experiments.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import read_cluster, write_new
 from concord.features.flexray_tools.commands.rehearsal import prepare_without_bus
-from concord.features.flexray_tools.slot_design.aged_readings import (
-    LinearSensing,
-    aged_cov,
-    steady_cov,
-)
 from concord.features.flexray_tools.slot_design.turns import (
     CycleTurn,
     best_turns,
     equal_turns,
     places_of_turns,
 )
-from concord.nodes.messages import from_wire
 from concord.scenarios.catalogue import definition_of
-from concord.scenarios.observability import jacobian, told
 from concord.scenarios.preparation import share_bytes
-from concord.scenarios.setup import Setup, generator
+from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
-
-# A plant is linear if its derivative changes by less than this part of itself.
-_LINEAR = 1e-6
+from concord.studies.exact.aged_readings import aged_cov, steady_cov
+from concord.studies.exact.network import linear_network
 
 
 class NodeTurn(msgspec.Struct, frozen=True):
@@ -155,40 +146,6 @@ def reading_ages(turns: Sequence[CycleTurn], rounds: int) -> np.ndarray:
     own = np.arange(len(turns))
     ages[:, own, own] = 0
     return ages
-
-
-def linear_network(setup: Setup) -> LinearSensing:
-    """Return the plant of a scenario and its sensors as matrices.
-
-    Raises:
-        ValueError: the plant or a sensor is not linear, or its nodes are no sensors of one plant.
-    """
-    scenario, definition = setup.scenario, definition_of(setup.scenario)
-    n = len(setup.prior_mean)
-    if definition.wirings or len(setup.initial_state) != n:
-        raise ValueError(f"scenario {scenario.name}: its nodes share no linear plant")
-    model, plant = definition.model(scenario), definition.plant(scenario)
-    scale = np.sqrt(np.diag(np.array(setup.prior_cov)))
-    state = from_wire(setup.initial_state)
-    move = partial(model.transition, control=None, step=0)
-    delivered = plant.observe(state, plant.draw(partial(generator, scenario), 1).measurement[0], 0)
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    for point in (state, state + 3 * scale):
-        information = np.zeros((scenario.nodes, n, n))
-        for node, readings in enumerate(delivered):
-            if (sensor := definition.sensor(scenario, node)) is None:
-                continue
-            for reading in readings:
-                information[node] += told(sensor, reading, point, scale, np.eye(n), 0)
-        found.append((jacobian(move, point, scale, np.subtract), information))
-    for here, there in zip(*found, strict=True):
-        if np.abs(here - there).max() > _LINEAR * np.abs(here).max():
-            raise ValueError(
-                f"scenario {scenario.name}: its plant or sensors are not linear, and this bound "
-                "holds for linear ones; use --scenario oscillator, or an own linear scenario"
-            )
-    (transition, information), _ = found
-    return LinearSensing(transition, model.process_noise_cov(0), information)
 
 
 def _check(shares: int, longest: int, frames: int, cluster: Cluster) -> None:

@@ -12,12 +12,12 @@ from concord.features.flexray_tools.commands.rehearsal import prepare_without_bu
 from concord.features.flexray_tools.commands.turn_designs import (
     TurnAnswer,
     design_turns,
-    linear_network,
     reading_ages,
 )
-from concord.features.flexray_tools.slot_design.aged_readings import aged_cov, steady_cov
 from concord.features.flexray_tools.slot_design.turns import CycleTurn
 from concord.scenarios.preparation import prepare
+from concord.studies.exact.aged_readings import aged_cov, steady_cov
+from concord.studies.exact.network import linear_network
 from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.command_support import concord
 from tests.experiments.support import scenario

@@ -14,15 +14,6 @@ from hypothesis import strategies as st
 from concord.features.control.motor import motor_position
 from concord.features.control.networks import deal_outputs
 from concord.papers.wac import exact as study
-from concord.papers.wac.exact_covariance import (
-    LinearNetwork,
-    Moments,
-    figures_of,
-    network_of,
-    over_nodes,
-    propagate,
-)
-from concord.papers.wac.exact_rules import RULES
 from concord.plants.oscillator import Oscillator
 from concord.plants.placement import Draws
 from concord.results.records.trace import read_trace
@@ -33,6 +24,15 @@ from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import hold_of
+from concord.studies.exact.averaged_errors import (
+    LinearNetwork,
+    Moments,
+    figures_of,
+    network_of,
+    over_nodes,
+    propagate,
+)
+from concord.studies.exact.averaged_rules import RULES
 from concord.topology.graphs import build_graph
 from concord.topology.spectrum import second_eigenvalue_modulus
 from concord.topology.weights import metropolis

@@ -4,11 +4,10 @@ No estimator has less error: its readings are all those that have come, and the 
 these is the best one (Kalman 1960). Late readings are fused in the order in which they were taken.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from concord.filters.linalg import symmetrise
+from concord.studies.exact.averaged_errors import LinearNetwork
 
 # Iterations of the Riccati equation, and the relative change at which it has settled.
 _MOST_STEPS, _SETTLED = 100_000, 1e-13
@@ -16,33 +15,20 @@ _MOST_STEPS, _SETTLED = 100_000, 1e-13
 _UNBOUNDED = 1e30
 
 
-class LinearSensing(NamedTuple):
-    """A linear plant and its N sensors.
-
-    Attributes:
-        transition: (n, n). process_cov: (n, n).
-        information: (N, n, n), what the reading of each sensor tells in a step: H^T R^-1 H.
-    """
-
-    transition: np.ndarray
-    process_cov: np.ndarray
-    information: np.ndarray
-
-
-def steady_cov(network: LinearSensing) -> np.ndarray:
+def steady_cov(network: LinearNetwork) -> np.ndarray:
     """Return the covariance (n, n) after a reading of all sensors in each of many steps.
 
     Raises:
         ValueError: the error grows without bound, as the sensors do not see all of the plant.
     """
-    n = len(network.transition)
+    n = len(network.transition_matrix)
     everything = np.ones(len(network.information))
     cov = np.eye(n)
     for _ in range(_MOST_STEPS):
         after = _step(network, cov, everything)
         if np.abs(after - cov).max() <= _SETTLED * np.abs(after).max():
             return after
-        if after.max() > _UNBOUNDED * network.process_cov.max():
+        if after.max() > _UNBOUNDED * network.noise_cov.max():
             break
         cov = after
     raise ValueError(
@@ -51,7 +37,7 @@ def steady_cov(network: LinearSensing) -> np.ndarray:
     )
 
 
-def aged_cov(network: LinearSensing, steady: np.ndarray, ages: np.ndarray) -> np.ndarray:
+def aged_cov(network: LinearNetwork, steady: np.ndarray, ages: np.ndarray) -> np.ndarray:
     """Return the covariances (..., n, n) of filters that lack the newest readings of each sensor.
 
     Args:
@@ -65,10 +51,10 @@ def aged_cov(network: LinearSensing, steady: np.ndarray, ages: np.ndarray) -> np
     return cov
 
 
-def _step(network: LinearSensing, cov: np.ndarray, heard: np.ndarray) -> np.ndarray:
+def _step(network: LinearNetwork, cov: np.ndarray, heard: np.ndarray) -> np.ndarray:
     """Return the covariances after a step in which the sensors `heard` (..., N) are read."""
-    F = network.transition
-    predicted = symmetrise(F @ cov @ F.mT + network.process_cov)
+    F = network.transition_matrix
+    predicted = symmetrise(F @ cov @ F.mT + network.noise_cov)
     told = np.tensordot(heard, network.information, axes=1)
     # I - P J, with P + P J P = P (I + J P): no inverse of a covariance, which may be singular.
     eye = np.eye(len(F))

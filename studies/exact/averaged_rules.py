@@ -1,4 +1,4 @@
-"""The network's fusion rules as linear maps of errors, for `concord.papers.wac.exact_covariance`.
+"""The network's fusion rules as linear maps of errors, for `concord.studies.exact.averaged_errors`.
 
 With given covariances every rule is linear in the errors. A node's prediction errs by e (n,). Its
 reading adds the score s = H' R^-1 v (n,), of covariance W = H' R^-1 H. Its own update leaves the

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.linalg import cholesky, inverse_spd, symmetrise
-from concord.papers.wac.exact_rules import Fusion, Rule
 from concord.plants.linear import LinearPlant
+from concord.studies.exact.averaged_rules import Fusion, Rule
 
 
 class LinearNetwork(NamedTuple):

@@ -6,14 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from concord.features.flexray_tools.slot_design.aged_readings import (
-    LinearSensing,
-    aged_cov,
-    steady_cov,
-)
+from concord.studies.exact.aged_readings import aged_cov, steady_cov
+from concord.studies.exact.averaged_errors import LinearNetwork
 
 
-def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearSensing, np.ndarray]:
+def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearNetwork, np.ndarray]:
     """A stable plant and rows (sensors, n) of sensors with unit noise."""
     draws = np.random.default_rng(seed)
     transition = draws.normal(size=(n, n))
@@ -21,14 +18,15 @@ def drawn(seed: int, sensors: int = 3, n: int = 2) -> tuple[LinearSensing, np.nd
     root = draws.normal(size=(n, n))
     rows = draws.normal(size=(sensors, n))
     information = np.einsum("ki,kj->kij", rows, rows)
-    return LinearSensing(transition, root @ root.T + 0.1 * np.eye(n), information), rows
+    noise_cov = root @ root.T + 0.1 * np.eye(n)
+    return LinearNetwork(transition, noise_cov, information, np.eye(n)), rows
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 10**6))
 def test_the_steady_covariance_solves_the_riccati_equation(seed: int):
     network, rows = drawn(seed)
-    prior = solve_discrete_are(network.transition.T, rows.T, network.process_cov, np.eye(3))
+    prior = solve_discrete_are(network.transition_matrix.T, rows.T, network.noise_cov, np.eye(3))
     posterior = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows)
     assert np.allclose(steady_cov(network), posterior, rtol=1e-8)
 
@@ -41,7 +39,7 @@ def test_the_steady_covariance_solves_the_riccati_equation(seed: int):
 def test_late_readings_against_the_joint_law(seed: int, ages: list[int]):
     """Condition the last of many states on all readings that have come, at once."""
     network, rows = drawn(seed)
-    F, steps, n = network.transition, 60, 2
+    F, steps, n = network.transition_matrix, 60, 2
     joint = np.zeros((n * steps, n * steps))
     cov = np.eye(n)
     for k in range(steps):
@@ -51,7 +49,7 @@ def test_late_readings_against_the_joint_law(seed: int, ages: list[int]):
             ahead = np.linalg.matrix_power(F, later - k) @ cov
             joint[n * later : n * later + n, at] = ahead
             joint[at, n * later : n * later + n] = ahead.T
-        cov = F @ cov @ F.T + network.process_cov
+        cov = F @ cov @ F.T + network.noise_cov
     seen = [(k, i) for i, age in enumerate(ages) for k in range(steps - age)]
     H = np.zeros((len(seen), n * steps))
     for line, (k, i) in enumerate(seen):
@@ -77,6 +75,8 @@ def test_lanes_are_those_of_single_calls_and_error_grows_with_age():
 
 
 def test_a_plant_that_no_sensor_sees_is_refused():
-    unseen = LinearSensing(np.diag([1.2, 0.5]), np.eye(2), np.array([np.diag([0.0, 1.0])]))
+    unseen = LinearNetwork(
+        np.diag([1.2, 0.5]), np.eye(2), np.array([np.diag([0.0, 1.0])]), np.eye(2)
+    )
     with pytest.raises(ValueError, match="does not settle"):
         steady_cov(unseen)

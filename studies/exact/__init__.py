@@ -1,0 +1,1 @@
+"""Networks of linear plants without a random number: moments of all errors (`cc.exact`)."""
