@@ -271,7 +271,7 @@ def peak_mb() -> float:
 def bomb(path: Path, claim: int, compression: str) -> None:
     """An MCAP file of one chunk that unpacks to so many zeros."""
     with path.open("wb") as stream:
-        writer = Writer(stream, use_chunking=False)
+        writer: Any = Writer(stream, use_chunking=False)
         writer.start(profile="ros2", library="bomb")
         data = zstandard.compress(bytes(claim))
         chunk = Chunk(compression, data, 0, 0, 0, min(claim, 1000))

@@ -109,4 +109,4 @@ def is_number(value: object) -> bool:
 
 def worded(value: object) -> str:
     """Return a value in a few characters."""
-    return rounded(value, 4) if isinstance(value, float | np.floating) else str(value)
+    return rounded(float(value), 4) if isinstance(value, float | np.floating) else str(value)

@@ -60,7 +60,8 @@ def channel_test(innovations: np.ndarray, variances: np.ndarray) -> ChannelTest:
     if updates < LEAST_UPDATES:
         unknown = Interval(np.nan, np.nan, np.nan)
         known = Interval(float(np.mean(values**2)), np.nan, np.nan) if updates else unknown
-        return ChannelTest(updates, known, unknown, *(np.nan,) * 6)
+        nan = np.nan
+        return ChannelTest(updates, known, unknown, nan, nan, nan, nan, nan, nan)
     # Only here: scipy takes longer to load than most commands take.
     from scipy.special import chdtr, chdtrc
 

@@ -71,7 +71,7 @@ def test_a_clock_beyond_its_rate_correction_halts_its_node(node: int, ppm: int):
     bus = build_bus(setup)
     assert isinstance(bus, FlexRayBus)
     drifts = (ClockDrift(node, ppm, FIRST),)
-    sends = [bus.clock_errors(4, drifts, (), cycle).sends[node] for cycle in range(30)]
+    sends = [bus.clock_errors(4, drifts, (), cycle, (0, 0)).sends[node] for cycle in range(30)]
     silent = drifting.counters[node]["silent"]
     halted = 30 - silent
     assert FIRST < halted < 20
