@@ -216,6 +216,18 @@ class OwnTruth:
         return max((one.late_steps(self.time_step_s) for one in each), default=0)
 
     @property
+    def irregular(self) -> str:
+        """Why readings are no fixed function of states and normals; empty where they are one."""
+        for sensors in self.nodes:
+            pairs = () if sensors is None else zip(sensors.believed, sensors.real, strict=True)
+            for one, true in pairs:
+                if one.every_s is not None or one.start_s or one.missing:
+                    return "a sensor does not read in every step"
+                if true.outlier_share or np.isfinite(true.degrees_of_freedom):
+                    return "the noise of a sensor is not normal"
+        return ""
+
+    @property
     def gated(self) -> bool:
         """Whether a late sensor has a gate."""
         return any(

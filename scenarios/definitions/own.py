@@ -1,7 +1,8 @@
 """Scenarios of the user's own: a plant and sensors given as functions and covariances."""
 
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -67,45 +68,60 @@ def own_scenario(
     if truth is not None:
         require_kind("truth", truth, TruePlant, "a Truth")
     dealt = sensors_of_nodes(plant, sensors, truth)
-    moving = plant if truth is None else truth.plant_of(plant)
-
     log = None if readings is None else _log(plant, dealt, readings, truth, nodes)
-
-    @cache
-    def there(count: int) -> OwnTruth:
-        return OwnTruth(moving, tuple(dealt[node % len(dealt)] for node in range(count)), plant)
-
-    score = own_score(there(1).state_units, scored_states, first_scored_step)
+    own = _OwnNetwork(plant, dealt, plant if truth is None else truth.plant_of(plant), log)
     asked = {"nodes": nodes, "graph": graph, "steps": steps or (log and log.steps)}
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")
-
-    def late_steps(scenario: Scenario) -> tuple[int, ...]:
-        own = there(scenario.nodes)
-        late = tuple(own.late_steps(node) for node in range(scenario.nodes))
-        return late if any(late) else ()
-
-    def check(scenario: Scenario) -> None:
-        own = there(scenario.nodes)
-        own.positions(0)
-        own.require_inputs(scenario.steps)
-        if log is not None:
-            _check_log(scenario, log)
-        refuse_late(scenario, late_steps(scenario), own.gated, "delay_s")
-
     definition = ScenarioDefinition(
         defaults=Scenario(plant=UserPlant(), network=network, steps=200).with_(**given),
-        check=check,
-        plant=lambda scenario: log or there(scenario.nodes),
+        check=own.check,
+        plant=lambda scenario: log or own.truth(scenario.nodes),
         model=lambda _: plant,
-        sensor=lambda scenario, node: there(scenario.nodes).sensor(node),
-        late_steps=late_steps,
+        sensor=lambda scenario, node: own.truth(scenario.nodes).sensor(node),
+        late_steps=own.late_steps,
         all_steps=None if log is None else lambda _: log.steps,
-        score=score,
+        score=own_score(plant.units, scored_states, first_scored_step),
         radio_range_m=radio_range_m,
         origin=lambda _: plant.prior_mean,
     )
     return user_definition(kept_source(definition)).defaults
+
+
+@dataclass(frozen=True)
+class _OwnNetwork:
+    """A plant as the filters believe it, the sensors dealt to the nodes in turn, the plant that
+    really moves, and the log that stands for it; None for none."""
+
+    plant: OwnPlant
+    dealt: tuple[NodeSensors | None, ...]
+    moving: OwnPlant
+    log: "OwnReplay | None"
+
+    @lru_cache  # noqa: B019  a scenario lives as long as its process
+    def truth(self, nodes: int) -> OwnTruth:
+        """The truth with so many nodes."""
+        sensors = tuple(self.dealt[node % len(self.dealt)] for node in range(nodes))
+        return OwnTruth(self.moving, sensors, self.plant)
+
+    def late_steps(self, scenario: Scenario) -> tuple[int, ...]:
+        """After how many steps each node has its readings; empty where all come at once."""
+        own = self.truth(scenario.nodes)
+        late = tuple(own.late_steps(node) for node in range(scenario.nodes))
+        return late if any(late) else ()
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse a scenario that plant, sensors or log cannot be in.
+
+        Raises:
+            ValueError: naming the option, its value and the cure.
+        """
+        own = self.truth(scenario.nodes)
+        own.positions(0)
+        own.require_inputs(scenario.steps)
+        if self.log is not None:
+            _check_log(scenario, self.log)
+        refuse_late(scenario, self.late_steps(scenario), own.gated, "delay_s")
 
 
 def _log(

@@ -162,12 +162,25 @@ def exact_network(setup: Setup, truth: PlantTruth | None = None) -> ExactNetwork
     linear = linear if truth is None else with_truth(linear, truth)
     follows = not np.allclose(linear.F, believed_transition(model, n), rtol=1e-12, atol=1e-14)
     follows = follows or (holds and isinstance(hold_of(scenario.rule), Raw))
+    if follows and _is_driven(scenario, n):
+        raise NotExact(
+            f"{name} --exact: its inputs move the state, and a wrong model makes errors of it; use "
+            "runs"
+        )
     if follows and definition.controller(scenario) is not None:
         raise NotExact(
             f"{name} --exact: its errors depend on the state, and a controller moves that by "
             "estimates; use --control open"
         )
     return ExactNetwork(setup, rule, linear, context.links, bus.schedule, holds, follows)
+
+
+def _is_driven(scenario: Scenario, n: int) -> bool:
+    """Whether something but noise moves the state zero in some step."""
+    plant = definition_of(scenario).plant(scenario)
+    none = np.zeros_like(plant.draw(partial(generator, scenario), 1).process[0])
+    zero = np.zeros(n)
+    return any(plant.advance(zero, None, none, step).any() for step in range(scenario.steps - 1))
 
 
 def linear_network(setup: Setup) -> LinearNetwork:
@@ -209,6 +222,8 @@ def _refuse(scenario: Scenario) -> None:
         raise NotExact("--changes with --exact: the network must stay as it is; use runs")
     if definition.wirings or definition.delivery or any(definition.late_steps(scenario)):
         raise NotExact(f"{name} --exact: its readings do not come to the nodes at once; use runs")
+    if reason := getattr(definition.plant(scenario), "irregular", ""):
+        raise NotExact(f"{name} --exact: {reason}; use runs")
     if scenario.filter.name not in KALMAN_FILTERS:
         raise NotExact(
             f"--filter {scenario.filter.name} --exact: its gains depend on the readings; use "

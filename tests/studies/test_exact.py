@@ -52,6 +52,24 @@ class Wrong:
         return delivered if self.truth.bias is None else delivered + self.truth.bias[:, None]
 
 
+MOVE = np.array([[1.0, 0.1], [0.0, 0.95]])
+
+
+def place(x: np.ndarray) -> np.ndarray:
+    return x[..., :1]
+
+
+PLACE = cc.OwnSensor(h=place, R=0.1)
+
+
+def own(sensors: list[Any], truth: Any = None, **motion: Any) -> Scenario:
+    """An own linear plant with these sensors, in float64 over 30 steps."""
+    motion = motion or {"f": lambda x: x @ MOVE.T}
+    plant = cc.OwnPlant(**motion, Q=[1e-3, 1e-2], mean=[1, 0], cov=[1, 1], time_step_s=0.1)
+    asked = cc.own_scenario(plant, sensors, truth=truth, steps=30)
+    return asked.with_(number="float64", schedule="full", bus="ideal", filter="kf")
+
+
 def brute(scenario: Scenario, truth: PlantTruth | None = None) -> tuple[np.ndarray, ...]:
     """E[e e'] (S, N, n, n), reported covariances, E[e] (S, N, n): a run for each unit of noise."""
     exact = exact_network(prepare(scenario), truth)
@@ -209,11 +227,37 @@ def test_honesty_of_a_centralised_filter_is_one():
         (case(rule="trimmed-ci", graph="complete"), "rule trimmed-ci --exact"),
         (case(filter="iplf"), "--filter iplf --exact"),
         (case("dc-motor-position", hold="raw", **HELD), "use --control open"),
+        (own([cc.OwnSensor(h=place, R=0.1, every_s=0.2)]), "does not read in every step"),
+        (own([cc.OwnSensor(h=place, R=0.1, missing=0.2)]), "does not read in every step"),
+        (own([PLACE], truth=cc.Truth(sensors=[cc.TrueSensor(outlier_share=0.1)])), "is not normal"),
+        (
+            own(
+                [PLACE],
+                f=lambda x, u: x @ MOVE.T + u,
+                inputs=np.ones(40),
+                truth=cc.Truth(f=lambda x, u: 0.9 * x @ MOVE.T + u),
+            ),
+            "its inputs move the state",
+        ),
     ],
 )
 def test_what_is_not_exact_is_refused_in_a_sentence(scenario: Scenario, why: str):
     with pytest.raises(ValueError, match=re.escape(why)):
         exact_of(prepare(scenario))
+
+
+def test_a_truth_of_an_own_scenario_is_that_of_the_engine():
+    """And inputs that the filters know change no error."""
+    Q, wrong = np.diag([0.01, 0.2]), 0.9 * MOVE
+    truth = cc.Truth(f=lambda x: x @ wrong.T, Q=Q, sensors=[cc.TrueSensor(R=0.4), None])
+    found = cc.exact(own([PLACE, None], truth=truth))
+    std = np.array([[np.sqrt(0.4)], [0.0]])
+    named = PlantTruth(transition_matrix=wrong, noise_cov=Q, noise_std=std)
+    expected = cc.exact(own([PLACE, None]), truth=named)
+    np.testing.assert_allclose(found.squares, expected.squares, rtol=1e-12)
+    driven = own([PLACE, None], f=lambda x, u: x @ MOVE.T + u, inputs=np.arange(40.0))
+    plain = cc.exact(own([PLACE, None]))
+    np.testing.assert_allclose(cc.exact(driven).squares, plain.squares, rtol=1e-9)
 
 
 def test_a_truth_of_another_shape_is_refused():
