@@ -69,10 +69,10 @@ def _is_finished(path: Path) -> bool:
 
 def _remove_parts(folder: Path) -> None:
     """Remove the unfinished files (`concord.disk.whole_file`) of processes that are gone."""
-    for part in folder.glob("*.part"):
-        owner = part.suffixes[-2].removeprefix(".") if len(part.suffixes) > 1 else ""
+    for left in folder.glob("*.part"):
+        owner = left.suffixes[-2].removeprefix(".") if len(left.suffixes) > 1 else ""
         if owner.isdecimal() and not _is_there(int(owner)):
-            part.unlink(missing_ok=True)
+            left.unlink(missing_ok=True)
 
 
 def _is_there(process: int) -> bool:
@@ -86,7 +86,7 @@ def _is_there(process: int) -> bool:
 
 
 class _Summary:
-    """What a pass over the records of a file tells for its summary section."""
+    """Findings of a pass over the records of a file, for its summary section."""
 
     def __init__(self) -> None:
         self.damage: list[Span] = []

@@ -24,8 +24,8 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
 
     Args:
         setup: the network.
-        stretch: how many times longer a cycle lasts than on the bus; None for the longest cycle
-            that the step allows, of 100 ms at most, where what is sent at once has 20 ms or more.
+        stretch: how many times longer a cycle lasts than on the bus. None is the longest cycle that
+            the step allows, of 100 ms at most; what is sent at once has 20 ms or more.
 
     Raises:
         ValueError: the scenario has no time to be kept, or cannot be run against the clock.

@@ -123,7 +123,7 @@ class Source(Protocol):
 class RecordedSource:
     """A recording: read little by little, so that the page is there at once.
 
-    One that is still written is followed. `verdict` is that of the whole run, in words; empty where
+    A recording that is still written is followed. `verdict` is that of the whole run, in words; empty where
     there is none.
     """
 

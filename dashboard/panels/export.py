@@ -60,7 +60,7 @@ def screenshot(
 ) -> bytes:
     """Return the scene as the browser of this client shows it, with its legend, as PNG.
 
-    What lies under the panels below the scene is cut off.
+    The part under the panels below the scene is cut off.
     """
     shape = (client.camera.image_height or 900) / (client.camera.image_width or 1600)
     width = max(client.camera.image_width or 0, LEAST_WIDTH)

@@ -26,7 +26,8 @@ class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):
         int, Option("Wait in a burst that is not full, in bit times.", at_least=0, at_most=255)
     ] = 128
     without_beacons: Annotated[
-        Literal["csma-cd", "silence"], Option("What nodes do while node 0, which beacons, is out.")
+        Literal["csma-cd", "silence"],
+        Option("Behaviour of nodes while node 0, which beacons, is out."),
     ] = "csma-cd"
 
 

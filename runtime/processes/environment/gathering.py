@@ -22,14 +22,14 @@ def gather(
     nodes: int,
     fingerprint: str,
     hear_of_presence: Callable[[str, bool], None],
-    patience_s: float = math.inf,
+    peer_timeout_s: float = math.inf,
 ) -> None:
     """Join the network, and wait for all other processes; from then on hear who comes and goes.
 
     Args:
         transport, inbox, nodes, fingerprint: of the network.
         hear_of_presence: told who comes and goes.
-        patience_s: how long no further process may come.
+        peer_timeout_s: how long no further process may come.
 
     Raises:
         LinkError: the network cannot be joined.
@@ -38,7 +38,7 @@ def gather(
     """
     names = [RECORDER, *map(str, range(nodes))]
     transport.join(ENVIRONMENT, ())
-    await_processes(transport, names, patience_s)
+    await_processes(transport, names, peer_timeout_s)
     transport.watch(hear_of_presence)
     for name in transport.missing(names):
         # It was gone again before the watch began.
@@ -47,19 +47,19 @@ def gather(
 
 
 def await_processes(
-    transport: Transport, names: Sequence[str], patience_s: float = math.inf
+    transport: Transport, names: Sequence[str], peer_timeout_s: float = math.inf
 ) -> None:
     """Wait until processes of all these names are there.
 
     Raises:
-        Deserted: no further one has come for `patience_s` seconds; it names those that lack.
+        Deserted: no further one has come for `peer_timeout_s` seconds; it names those that lack.
     """
     waited_s, before = 0.0, len(names)
     while not transport.await_present(names, _TELL_S):
         missing = transport.missing(names)
         waited_s = waited_s + _TELL_S if len(missing) == before else 0.0
         before = len(missing)
-        if waited_s >= patience_s:
+        if waited_s >= peer_timeout_s:
             raise Deserted(
                 f"{in_words(missing)} cannot be met, although the process is there; no further one "
                 f"has come for {waited_s:.0f} s; run `concord doctor`"

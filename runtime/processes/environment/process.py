@@ -146,8 +146,8 @@ class EnvironmentProcess:
         """Run from the first hello to the end."""
         known = (self._nodes, self._fingerprint)
         # On another host a process may be started at any time.
-        patience_s = _MEETING_S if self._management.keeps_nodes else math.inf
-        gather(self.transport, self.inbox, *known, self._hear_of_presence, patience_s)
+        peer_timeout_s = _MEETING_S if self._management.keeps_nodes else math.inf
+        gather(self.transport, self.inbox, *known, self._hear_of_presence, peer_timeout_s)
         self.republisher.begin()
         self.inbox.begin()
         follow_ends(self._management.ends, self.inbox.notify)
