@@ -123,8 +123,8 @@ class Source(Protocol):
 class RecordedSource:
     """A recording: read little by little, so that the page is there at once.
 
-    A recording that is still written is followed. `verdict` is that of the whole run, in words; empty where
-    there is none.
+    A recording that is still written is followed. `verdict` is that of the whole run, in words;
+    empty where there is none.
     """
 
     live = takes_commands = False
