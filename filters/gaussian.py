@@ -42,3 +42,15 @@ def to_gaussian(information: Information) -> Gaussian:
     """Moment form; a lane whose information matrix is not positive definite is NaN."""
     cov = inverse_spd(information.matrix)
     return Gaussian(multiply(cov, information.vector), cov)
+
+
+def stacked_size(states: int, models: int) -> int:
+    """Length of the mean of a stacked belief (`InteractingModels`); that of a plain one for a single
+    model."""
+    return models * (states + 1) - 1
+
+
+def stacked_blocks(states: int, models: int) -> np.ndarray:
+    """Where the covariance (S, S) of a stacked belief is not 0, True."""
+    model = np.concatenate((np.repeat(np.arange(models), states), models + np.arange(models - 1)))
+    return model[:, None] == model

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.filter import Filter
-from concord.filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian, stacked_size
 from concord.filters.linalg import cholesky, inverse_of_triangle, multiply
 from concord.filters.moments import Model, Residual
 from concord.filters.update import Update, settle, without_rows
@@ -226,14 +226,3 @@ def _joined(beliefs: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
 def _log_volume(cov: np.ndarray) -> np.ndarray:
     """Half the log determinant (...) of covariances (..., m, m)."""
     return np.log(np.diagonal(cholesky(cov), axis1=-2, axis2=-1)).sum(axis=-1)
-
-
-def stacked_size(states: int, models: int) -> int:
-    """Length of the mean of a stacked belief; that of a plain one for a single model."""
-    return models * (states + 1) - 1
-
-
-def stacked_blocks(states: int, models: int) -> np.ndarray:
-    """Where the covariance (S, S) of a stacked belief is not 0, True."""
-    model = np.concatenate((np.repeat(np.arange(models), states), models + np.arange(models - 1)))
-    return model[:, None] == model

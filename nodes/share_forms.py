@@ -23,8 +23,14 @@ from typing import Protocol
 import numpy as np
 
 from concord.filters.fusion.packed import pack, packed_length, unpack
-from concord.filters.gaussian import Gaussian, Information, to_gaussian, to_information
-from concord.filters.interacting_models import stacked_blocks, stacked_size
+from concord.filters.gaussian import (
+    Gaussian,
+    Information,
+    stacked_blocks,
+    stacked_size,
+    to_gaussian,
+    to_information,
+)
 from concord.filters.linalg import cholesky, inverse_of_triangle, multiply, pack_upper, unpack_upper
 
 # Relative errors of a float32 that was rounded to the nearest, and of sums of a few doubles.

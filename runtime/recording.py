@@ -22,7 +22,6 @@ from concord.disk import NotWritten, writing
 from concord.nodes.bounds import UNREADABLE, Instant
 from concord.nodes.history import history_of, with_event
 from concord.nodes.messages import MalformedMessage, decode, message_types
-from concord.runtime.recording_file import Damage, whole_bytes, whole_records
 from concord.scenarios.setup import Setup
 
 ORIGIN = "concord"
@@ -187,7 +186,13 @@ class McapRecorder:
                 self._file.close()
             with suppress(FileNotFoundError):
                 # Another process may have removed the file meanwhile.
-                os.truncate(self._path, end or whole_bytes(self._path, self._whole_bytes))
+                os.truncate(self._path, end or self._whole_end())
+
+    def _whole_end(self) -> int:
+        # Only here: a file that was closed in order needs no reader.
+        from concord.runtime.recording_file import whole_bytes
+
+        return whole_bytes(self._path, self._whole_bytes)
 
 
 def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -198,6 +203,9 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
     Raises:
         ValueError: the file is not an MCAP recording.
     """
+    # Only here: a network writes recordings and reads none.
+    from concord.runtime.recording_file import Damage, whole_records
+
     topics: dict[int, str] = {}
     for record in whole_records(path):
         if isinstance(record, Channel):
@@ -215,6 +223,8 @@ def recorded_origin(path: Path) -> dict[str, str]:
     Raises:
         ValueError: the file is not an MCAP recording.
     """
+    from concord.runtime.recording_file import whole_records  # as above
+
     for record in whole_records(path):
         if isinstance(record, Metadata) and record.name == ORIGIN:
             return record.metadata

@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.bus.bus import Bus, retransmits
 from concord.bus.clocks import KeepsClocks
-from concord.filters.interacting_models import stacked_size
+from concord.filters.gaussian import stacked_size
 from concord.nodes.faults.active import Equipment, Faults
 from concord.nodes.vector_codec import BeliefCodec
 from concord.scenarios.catalogue import definition_of

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 from concord.filters.extended import ExtendedFilter
 from concord.filters.filter import Filter
-from concord.filters.interacting_models import InteractingModels, Mode
 from concord.filters.iterated import IteratedFilter
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import SigmaPointRule, cubature
@@ -37,9 +36,10 @@ _EXACT_STEP = 1.0
 """Step of the differences of an affine model, in standard deviations: the larger the more exact."""
 
 
-def _straight_and_turning(
-    choice: InteractingMultipleModels, points: SigmaPointRule
-) -> InteractingModels:
+def _straight_and_turning(choice: InteractingMultipleModels, points: SigmaPointRule) -> Filter:
+    # Only here: most nodes filter one model.
+    from concord.filters.interacting_models import InteractingModels, Mode
+
     states = points.unit_points.shape[1]
     # The rate of turn is the last state.
     straight = Mode(held=(states - 1,), std=choice.turn_rate_std)

@@ -11,8 +11,7 @@ from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Averaged, Ave
 from concord.filters.fusion.hold import keep_own
 from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.fusion.trimmed import trimmed_intersection
-from concord.filters.gaussian import Gaussian
-from concord.filters.interacting_models import stacked_size
+from concord.filters.gaussian import Gaussian, stacked_size
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.scenarios.node_context import BatchContext, RuleContext
 from concord.scenarios.rule_table.rule import BELIEFS, AnyRule, Rule, once, share_codec

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.filters.extended import ExtendedFilter
-from concord.filters.gaussian import Gaussian
-from concord.filters.interacting_models import InteractingModels, Mode, stacked_blocks
+from concord.filters.gaussian import Gaussian, stacked_blocks
+from concord.filters.interacting_models import InteractingModels, Mode
 from concord.filters.linalg import pack_upper
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented

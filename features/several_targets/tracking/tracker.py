@@ -23,8 +23,8 @@ from concord.features.several_targets.association.weights import (
 )
 from concord.features.several_targets.tracking.tracks import Tracks, joined_tracks, no_tracks
 from concord.filters import ukf
-from concord.filters.gaussian import Gaussian
-from concord.filters.interacting_models import InteractingModels, Mode, stacked_size
+from concord.filters.gaussian import Gaussian, stacked_size
+from concord.filters.interacting_models import InteractingModels, Mode
 from concord.filters.linalg import (
     cholesky,
     inverse_of_triangle,
