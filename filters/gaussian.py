@@ -45,8 +45,7 @@ def to_gaussian(information: Information) -> Gaussian:
 
 
 def stacked_size(states: int, models: int) -> int:
-    """Length of the mean of a stacked belief (`InteractingModels`); that of a plain one for a single
-    model."""
+    """Length of the mean of a stacked belief of several models; of a plain one for a single."""
     return models * (states + 1) - 1
 
 
