@@ -20,7 +20,9 @@ from concord.nodes.vector_codec import BeliefCodec
 EVERYBODY = (1 << 16) + 1
 
 
-Clocks = Callable[..., ClockErrors]
+Clocks = Callable[
+    [tuple[ClockDrift, ...], tuple[SyncOutage, ...], int, tuple[int, int]], ClockErrors
+]
 """(drifts, outages, cycle, key of the draws) -> the clocks of all nodes."""
 
 # A node synchronises its clock by any one sync frame of another node.

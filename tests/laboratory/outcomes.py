@@ -197,7 +197,9 @@ def _clocks(faults: Faults, cycle: int) -> ClockErrors | None:
     )
     keep = faults.equipment.clocks
     disturbed = drifts or faults.outages
-    return None if keep is None or not disturbed else keep(drifts, faults.outages, cycle)
+    return (
+        None if keep is None or not disturbed else keep(drifts, faults.outages, cycle, faults.key)
+    )
 
 
 def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:
