@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from concord.scenarios.types import holds as holds
     from concord.scenarios.types import rules as rules
     from concord.scenarios.types import schedules as schedules
-    from concord.studies.exact.truth import PlantTruth as PlantTruth
 
 
 if not TYPE_CHECKING:  # A checker would believe that concord has every name.

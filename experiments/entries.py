@@ -139,10 +139,6 @@ NAMES = {
         "The errors of a network on a linear plant, exact to rounding, without runs; "
         "docs/exact.md.",
     ),
-    "PlantTruth": (
-        "concord.studies.exact.truth:PlantTruth",
-        "The plant as it really is, where the filters believe something else.",
-    ),
     "launch": (
         f"{_API}:launch",
         "Run a scenario with one process per node; the data set is that of `load`.",

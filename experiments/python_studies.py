@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from concord.studies.exact.results import Exact
-    from concord.studies.exact.truth import PlantTruth
 
 from concord.experiments.python_api import at_least_one
 
@@ -129,14 +128,12 @@ def exact(
     scenario: Scenario,
     *,
     patterns: int = 20,
-    truth: "PlantTruth | None" = None,
 ) -> "Exact":
     """The errors of a network on a linear plant, exact to rounding, without runs; docs/exact.md.
 
     Args:
         scenario: what to compute.
         patterns: of losses, those of so many runs; without losses one is enough.
-        truth: what the plant really does where the filters believe something else.
 
     Returns:
         second moments of the errors of each node in each step, with rmse, honesty, steady state.
@@ -150,7 +147,7 @@ def exact(
     require_kind("scenario", scenario, Scenario, "a scenario, such as cc.scenario('oscillator')")
     at_least_one("patterns", patterns)
     first = scenario.run
-    return exact_of(prepare(scenario), range(first, first + patterns), truth)
+    return exact_of(prepare(scenario), range(first, first + patterns))
 
 
 @python_words()

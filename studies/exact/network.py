@@ -31,11 +31,10 @@ from concord.studies.exact.averaged_errors import LinearNetwork
 from concord.studies.exact.truth import (
     LinearTruth,
     NotExact,
-    PlantTruth,
     believed_transition,
     linear_truth,
     weighed_rows,
-    with_truth,
+    with_bias,
 )
 
 KALMAN_FILTERS = ("ukf", "ckf", "srukf", "srckf", "ekf", "kf")
@@ -123,12 +122,11 @@ def why_not(setup: Setup) -> str | None:
     return None
 
 
-def exact_network(setup: Setup, truth: PlantTruth | None = None) -> ExactNetwork:
+def exact_network(setup: Setup) -> ExactNetwork:
     """Return the network of a setup for the exact engine.
 
     Raises:
         NotExact: naming what of the scenario has no exact form, and the cure.
-        ValueError: a truth of another shape.
     """
     scenario, definition = setup.scenario, definition_of(setup.scenario)
     _refuse(scenario)
@@ -136,7 +134,8 @@ def exact_network(setup: Setup, truth: PlantTruth | None = None) -> ExactNetwork
         kalman = scenario.with_(filter="kf")
         setup = msgspec.structs.replace(setup, scenario=kalman)
     model, name = definition.model(scenario), scenario.name
-    linear = _linear_truth(setup)
+    of_nodes = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
+    linear = with_bias(_linear_truth(setup), of_nodes)
     n = len(linear.F)
     sensors = [group.sensor for group in definition.sensor_groups(scenario)]
     if any(sensor.gate is not None for sensor in sensors):
@@ -159,7 +158,6 @@ def exact_network(setup: Setup, truth: PlantTruth | None = None) -> ExactNetwork
                 for g in bus.schedule.groups(c))  # fmt: skip
     holds = isinstance(rule.rule, BeliefConsensus) and not (perfect and every)
     holds = holds and isinstance(hold_of(scenario.rule), Fading | Predicted | Raw)
-    linear = linear if truth is None else with_truth(linear, truth)
     follows = not np.allclose(linear.F, believed_transition(model, n), rtol=1e-12, atol=1e-14)
     follows = follows or (holds and isinstance(hold_of(scenario.rule), Raw))
     if follows and _is_driven(scenario, n):

@@ -13,7 +13,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 from concord.studies.exact.network import ExactNetwork, exact_network
 from concord.studies.exact.propagation import Joint, StepMap, beginning, moved, propagate
-from concord.studies.exact.truth import PlantTruth, believed_transition, weighed_rows
+from concord.studies.exact.truth import believed_transition, weighed_rows
 
 PATTERNS = 20
 """Patterns of losses where links lose frames; without losses there is one."""
@@ -143,16 +143,13 @@ class Exact:
         )  # fmt: skip
 
 
-def exact_of(
-    setup: Setup, patterns: Sequence[int] = range(PATTERNS), truth: PlantTruth | None = None
-) -> Exact:
+def exact_of(setup: Setup, patterns: Sequence[int] = range(PATTERNS)) -> Exact:
     """Return the exact errors of a network; `patterns` are run numbers whose losses are taken.
 
     Raises:
         NotExact: what has no exact form.
-        ValueError: a truth of another shape.
     """
-    network = exact_network(setup, truth)
+    network = exact_network(setup)
     score = definition_of(setup.scenario).score
     n, nodes = len(network.truth.F), setup.scenario.nodes
     states = list(score.states)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.nodes.rules.all_sensors import AllSensors
-from concord.nodes.rules.local_filter import Model, SensorGroup
+from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
 from concord.scenarios.scenario_definition import ScenarioPlant
 
 _TOLERANCE = 1e-9
@@ -14,19 +14,6 @@ _TOLERANCE = 1e-9
 
 class NotExact(ValueError):
     """A scenario that has no exact covariances; the message says why."""
-
-
-class PlantTruth(NamedTuple):
-    """The plant as it really is, where the filters believe something else; None where they do not.
-
-    transition_matrix: F (n, n). noise_cov: Q (n, n). noise_std: (N, d), of the readings of each
-    node. bias: (N, d), a constant in them that no filter knows.
-    """
-
-    transition_matrix: np.ndarray | None = None
-    noise_cov: np.ndarray | None = None
-    noise_std: np.ndarray | None = None
-    bias: np.ndarray | None = None
 
 
 class LinearTruth(NamedTuple):
@@ -106,35 +93,16 @@ def weighed_rows(linear: LinearTruth, groups: Sequence[SensorGroup]) -> np.ndarr
     return weighed.reshape(-1, n).T
 
 
-def with_truth(linear: LinearTruth, truth: PlantTruth) -> LinearTruth:
-    """Return the matrices under another truth.
-
-    Raises:
-        ValueError: a matrix of another shape than the scenario's.
-    """
-    shape = linear.delivered.shape
-    channels = (shape[0], shape[-1])
-    n = len(linear.F)
-    expected = {"transition_matrix": (n, n), "noise_cov": (n, n)}
-    for name, value in truth._asdict().items():
-        wanted = expected.get(name, channels)
-        if value is not None and np.shape(value) != wanted:
-            raise ValueError(f"truth: {name} of shape {np.shape(value)}: must be {wanted}")
-    if truth.transition_matrix is not None:
-        linear = linear._replace(F=np.array(truth.transition_matrix, dtype=float))
-    if truth.noise_cov is not None:
-        values, vectors = np.linalg.eigh(np.array(truth.noise_cov, dtype=float))
-        linear = linear._replace(E=vectors * np.sqrt(np.maximum(values, 0)))
-    if truth.noise_std is not None:
-        linear = linear._replace(D=np.diag(_of_readings(truth.noise_std, shape)))
-    if truth.bias is not None:
-        linear = linear._replace(bias=_of_readings(truth.bias, shape))
-    return linear
-
-
-def _of_readings(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Values (N, d) for all entries (Y,) of readings (N, r, d)."""
-    return np.broadcast_to(np.asarray(values, dtype=float)[:, None], shape).reshape(-1)
+def with_bias(linear: LinearTruth, sensors: Sequence[Sensor | None]) -> LinearTruth:
+    """Return the matrices with what the readings of the state zero have beyond the sensors that the
+    nodes believe in, as a bias."""
+    bias, n = np.zeros_like(linear.delivered), len(linear.F)
+    for node, sensor in enumerate(sensors):
+        if sensor is not None:
+            believed = sensor.measure(np.zeros(n), 1)
+            own = linear.delivered[node, :, : len(believed)]
+            bias[node, :, : len(believed)] = np.nan_to_num(own - believed)
+    return linear._replace(bias=bias.reshape(-1), delivered=linear.delivered - bias)
 
 
 def _probe(n: int) -> np.ndarray:

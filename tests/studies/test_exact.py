@@ -18,7 +18,6 @@ from concord.studies.exact.averaged_errors import propagate as averaged
 from concord.studies.exact.averaged_rules import RULES
 from concord.studies.exact.network import exact_network, linear_network
 from concord.studies.exact.results import Exact, exact_of
-from concord.studies.exact.truth import PlantTruth
 
 STEPS = 9
 HELD = {"schedule": "round-robin", "occupancy": 0.25}
@@ -27,29 +26,6 @@ HELD = {"schedule": "round-robin", "occupancy": 0.25}
 def case(name: str = "oscillator", **options: Any) -> Scenario:
     usual = {"rule": "ci", "rounds": 2, "schedule": "full", "steps": STEPS, "nodes": 4}
     return cc.scenario(name, **{**usual, **options})
-
-
-@dataclasses.dataclass(frozen=True)
-class Wrong:
-    """A plant as it really is: `truth` in place of what the filters believe."""
-
-    plant: Any
-    truth: PlantTruth
-
-    def advance(self, state: np.ndarray, control: Any, noise: np.ndarray, step: int) -> np.ndarray:
-        moved = self.plant.model.transition(state, control, step)
-        if self.truth.transition_matrix is not None:
-            moved = state @ self.truth.transition_matrix.T
-        cov = self.truth.noise_cov
-        cov = self.plant.model.process_noise_cov(step) if cov is None else cov
-        return moved + noise @ np.linalg.cholesky(cov).T
-
-    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
-        if self.truth.noise_std is not None:
-            believed = np.nan_to_num(self.plant.sensors.noise_std)[:, None]
-            noise = noise * (self.truth.noise_std / believed)[:, None]
-        delivered = self.plant.observe(state, noise, step)
-        return delivered if self.truth.bias is None else delivered + self.truth.bias[:, None]
 
 
 MOVE = np.array([[1.0, 0.1], [0.0, 0.95]])
@@ -70,12 +46,10 @@ def own(sensors: list[Any], truth: Any = None, **motion: Any) -> Scenario:
     return asked.with_(number="float64", schedule="full", bus="ideal", filter="kf")
 
 
-def brute(scenario: Scenario, truth: PlantTruth | None = None) -> tuple[np.ndarray, ...]:
+def brute(scenario: Scenario) -> tuple[np.ndarray, ...]:
     """E[e e'] (S, N, n, n), reported covariances, E[e] (S, N, n): a run for each unit of noise."""
-    exact = exact_network(prepare(scenario), truth)
+    exact = exact_network(prepare(scenario))
     whole = build_network(exact.setup, [scenario.run])
-    if truth is not None:
-        whole = dataclasses.replace(whole, plant=Wrong(whole.plant, truth))
     n, shapes = whole.initial_state.shape[1], (whole.process.shape, whole.measurement.shape)
     sizes = (n, *(int(np.prod(shape)) for shape in shapes))
     units = np.eye(sum(sizes) + 1, sum(sizes), k=-1)
@@ -154,18 +128,20 @@ def test_exact_is_brute_force(name: str):
 @pytest.mark.parametrize(
     "truth",
     [
-        PlantTruth(noise_cov=np.diag([0.01, 0.2])),
-        PlantTruth(noise_std=np.array([[1.0], [0.2], [0.7], [1.0]])),
-        PlantTruth(bias=np.array([[0.4], [0.0], [-0.1], [0.0]])),
-        PlantTruth(transition_matrix=np.array([[0.98, 0.12], [-0.2, 0.9]])),
+        cc.Truth(Q=[0.01, 0.2]),
+        cc.Truth(sensors=[cc.TrueSensor(R=0.4), None, cc.TrueSensor(R=0.01)]),
+        cc.Truth(sensors=[cc.TrueSensor(bias=0.4), None, cc.TrueSensor(bias=-0.1)]),
+        cc.Truth(f=lambda x: x @ np.array([[0.98, -0.2], [0.12, 0.9]])),
+        cc.Truth(mean=[0.5, 0.0], cov=[0.1, 0.2]),
     ],
-    ids=["Q", "R", "bias", "F"],
+    ids=["Q", "R", "bias", "F", "start"],
 )
 @pytest.mark.parametrize("options", [{}, HELD], ids=["full", "held"])
-def test_a_wrong_belief_is_brute_force(truth: PlantTruth, options: dict[str, Any]):
-    scenario = case(**options)
-    expected, _, bias = brute(scenario, truth)
-    found = cc.exact(scenario, truth=truth)
+def test_a_wrong_belief_is_brute_force(truth: Any, options: dict[str, Any]):
+    speed = cc.OwnSensor(h=lambda x: x[..., 1:], R=0.2)
+    scenario = own([PLACE, None, speed], truth=truth).with_(rounds=2, steps=STEPS, **options)
+    expected, _, bias = brute(scenario)
+    found = cc.exact(scenario)
     assert deviation(found.errors[0], expected) < 1e-12
     assert np.abs(found.bias[0] - bias).max() < 1e-12
 
@@ -229,6 +205,10 @@ def test_honesty_of_a_centralised_filter_is_one():
         (case("dc-motor-position", hold="raw", **HELD), "use --control open"),
         (own([cc.OwnSensor(h=place, R=0.1, every_s=0.2)]), "does not read in every step"),
         (own([cc.OwnSensor(h=place, R=0.1, missing=0.2)]), "does not read in every step"),
+        (
+            own([PLACE], truth=cc.Truth(sensors=[cc.TrueSensor(h=lambda x: 2 * x[..., :1])])),
+            "a filter believes another sensor",
+        ),
         (own([PLACE], truth=cc.Truth(sensors=[cc.TrueSensor(outlier_share=0.1)])), "is not normal"),
         (
             own(
@@ -246,23 +226,10 @@ def test_what_is_not_exact_is_refused_in_a_sentence(scenario: Scenario, why: str
         exact_of(prepare(scenario))
 
 
-def test_a_truth_of_an_own_scenario_is_that_of_the_engine():
-    """And inputs that the filters know change no error."""
-    Q, wrong = np.diag([0.01, 0.2]), 0.9 * MOVE
-    truth = cc.Truth(f=lambda x: x @ wrong.T, Q=Q, sensors=[cc.TrueSensor(R=0.4), None])
-    found = cc.exact(own([PLACE, None], truth=truth))
-    std = np.array([[np.sqrt(0.4)], [0.0]])
-    named = PlantTruth(transition_matrix=wrong, noise_cov=Q, noise_std=std)
-    expected = cc.exact(own([PLACE, None]), truth=named)
-    np.testing.assert_allclose(found.squares, expected.squares, rtol=1e-12)
+def test_inputs_that_the_filters_know_change_no_error():
     driven = own([PLACE, None], f=lambda x, u: x @ MOVE.T + u, inputs=np.arange(40.0))
     plain = cc.exact(own([PLACE, None]))
     np.testing.assert_allclose(cc.exact(driven).squares, plain.squares, rtol=1e-9)
-
-
-def test_a_truth_of_another_shape_is_refused():
-    with pytest.raises(ValueError, match=r"truth: noise_cov of shape \(3, 3\): must be \(2, 2\)"):
-        cc.exact(case(), truth=PlantTruth(noise_cov=np.eye(3)))
 
 
 def test_exact_figures_stand_under_the_names_of_runs():
