@@ -42,7 +42,8 @@ def checked(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, d
 def sharpest(tmp_path_factory: pytest.TempPathFactory) -> str:
     page = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
     file = tmp_path_factory.mktemp("rule") / "sharpest.py"
-    file.write_text(blocks(page, "python")[1])
+    (code,) = (block for block in blocks(page, "python") if "def sharpest" in block)
+    file.write_text(code)
     return f"{file}:sharpest"
 
 

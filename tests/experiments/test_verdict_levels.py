@@ -137,7 +137,7 @@ PLANTED = {
     "outliers": lambda: Planted(
         own(GOOD, GOOD, GOOD, changes=("0 outlier 1 .2 12",)),
         "CHECK",
-        "noise of a sensor too small",
+        "outliers of a sensor",
         1,
         own(GOOD, GOOD, GOOD),
     ),
