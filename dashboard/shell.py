@@ -43,7 +43,8 @@ const [loading,gone]=['loading','gone'].map(id=>document.getElementById('concord
 let heard=Date.now(),wasGone=false;
 const look=()=>{
   const told=[...document.querySelectorAll('.concord-told')].pop();
-  if(told){loading.remove();document.title=told.dataset.title}
+  if(told||document.querySelector('[data-testid]'))loading.remove();
+  if(told)document.title=told.dataset.title;
   const presents=!!document.querySelector('.concord-present');
   document.body.classList.toggle('present',presents);
   document.querySelectorAll('.concord-side').forEach(e=>e.classList.remove('concord-side'));

@@ -216,7 +216,9 @@ def _check_arrival(scenario: Scenario) -> None:
         return
     if vehicle.data is None:
         raise ValueError("--arrival late: of a log, but this drive is simulated; add --data")
-    refuse_late(scenario, _late(vehicle.data), bool(vehicle.sensor_gate), "--arrival late")
+    refuse_late(
+        scenario, _late(vehicle.data), "--sensor-gate" * bool(vehicle.sensor_gate), "--arrival late"
+    )
 
 
 def _outside(scenario: Scenario, states: np.ndarray) -> dict[str, np.ndarray]:

@@ -4,13 +4,13 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import LEAST_WINDOW_STEPS, MeasurementFlooding
 
 
-def refuse_late(scenario: Scenario, late_steps: tuple[int, ...], gated: bool, named: str) -> None:
+def refuse_late(scenario: Scenario, late_steps: tuple[int, ...], gates: str, named: str) -> None:
     """Refuse late readings that no window can put back.
 
     Args:
         scenario: that is asked for.
         late_steps: of each node; empty where all readings come at once.
-        gated: whether a sensor has a gate.
+        gates: option or field of the gates of sensors; empty where no late sensor has one.
         named: option or field that makes them late.
 
     Raises:
@@ -24,10 +24,11 @@ def refuse_late(scenario: Scenario, late_steps: tuple[int, ...], gated: bool, na
             f"{named}: rule {rule.name} has no window that puts late readings back; use --rule "
             "labelled --filter ukf --cluster fitted"
         )
-    if gated or rule.gate_probability or rule.withhold_below:
+    if gates or rule.gate_probability or rule.withhold_below:
+        own = f"{gates}, " * bool(gates)
         raise ValueError(
-            f"{named}: a node judges a reading before it comes; leave gates of sensors, "
-            "--gate-probability and --withhold-below out"
+            f"{named}: a node judges a reading before it comes; leave {own}--gate-probability and "
+            "--withhold-below out"
         )
     longest, window = max(late_steps), rule.window_steps or LEAST_WINDOW_STEPS
     if longest >= window:

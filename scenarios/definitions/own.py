@@ -121,7 +121,9 @@ class _OwnNetwork:
         own.require_inputs(scenario.steps)
         if self.log is not None:
             _check_log(scenario, self.log)
-        refuse_late(scenario, self.late_steps(scenario), own.gated, "delay_s")
+        refuse_late(
+            scenario, self.late_steps(scenario), "the gate of late sensors" * own.gated, "delay_s"
+        )
 
 
 def _log(

@@ -10,7 +10,7 @@ from concord.results.records.runs import runs_of_trace
 from concord.results.records.runs_file import runs_dataset
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_this_process
-from concord.runtime.recording import read_recording
+from concord.runtime.recording import read_recording, recorded_origin
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
@@ -38,7 +38,9 @@ def write_arrays(folder: Path, setup: Setup, trace: Trace, tempo: Tempo | None =
     runs = runs_of_trace(setup, trace)
     dataset = runs_dataset(runs, heard=heard_by_all(runs))
     driver = "processes" if tempo is None else "realtime"
-    description = describe("test", driver, setup, tempo)
+    recording = folder / "run.mcap"
+    told = recorded_origin(recording) if recording.exists() else {}
+    description = describe(told.get("run", "test"), driver, setup, tempo)
     if not (folder / DESCRIPTION).exists():
         write_description(folder, description)
     write_whole(folder, dataset, description)

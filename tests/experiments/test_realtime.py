@@ -22,8 +22,8 @@ from concord.scenarios.tempo import tempo_of
 from concord.studies.agree import first_difference
 from tests.experiments.support import small, trace_of
 
-# In cycles of 20 ms a busy machine makes most nodes late; these last 100 ms, steps 300 ms.
-SLOWER, STEP_S = 5, 0.3
+# In short cycles a busy machine makes most nodes late; these last 100 ms, steps 300 ms.
+SLOWER, STEP_S = 3, 0.3
 
 
 def play(

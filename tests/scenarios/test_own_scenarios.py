@@ -95,7 +95,7 @@ def test_late_readings_are_put_back_by_labelled():
     ("sensors", "options", "says"),
     [
         ([PLACE(delay_s=0.2)], {"rule": "ci"}, "delay_s: rule ci has no window"),
-        ([PLACE(delay_s=0.2, gate=0.99)], {"rule": "labelled"}, "leave gates of sensors"),
+        ([PLACE(delay_s=0.2, gate=0.99)], {"rule": "labelled"}, "leave the gate of late sensors"),
         ([PLACE(delay_s=2.0)], {"rule": "labelled", "window_steps": 6}, "up to 20 steps late"),
         ([PLACE()], {"steps": 402}, "--steps 402: inputs has 400 rows, enough for 401 steps"),
     ],
