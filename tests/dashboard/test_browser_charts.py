@@ -91,6 +91,8 @@ def test_the_scene_of_a_network_that_diverges_can_be_fitted_and_followed(page: P
     assert page.part("/plant/factor")["text"] == "errors × 1"
     client = next(iter(page.dashboard.server.get_clients().values()))
     before = client.camera.position
+    if not page.page.get_by_role("button", name="Fit", exact=True).count():
+        page.page.get_by_text("View", exact=True).first.click()
     page.press("Fit")
     page.until(lambda: client.camera.position[2] > before[2] + 1)
     page.widget("Follow target").locator("input").first.click()
@@ -113,7 +115,8 @@ def test_the_axes_name_the_time_the_state_and_the_node(page: Page):
     page.dashboard.inputs.alter(choose)
     page.page.get_by_text("One state", exact=True).first.click()
     page.until(lambda: {"vx, node 03 [m/s]", "error of vx, node 03 [m/s]"} <= set(plots(page)))
-    assert {plot["across"] for plot in plots(page).values()} == {"time [s]"}
+    # Small charts below the tall one have no room for the name of the time.
+    assert {plot["across"] for plot in plots(page).values()} - {None} == {"time [s]"}
     page.dashboard.inputs.alter(lambda view: setattr(view, "selected", 5))
     page.until(lambda: "vx, node 05 [m/s]" in plots(page))
     page.page.get_by_text("Charts", exact=True).first.click()

@@ -14,7 +14,7 @@ from concord.dashboard.serve import open_network
 from concord.nodes.commands import in_words
 from concord.runtime.network.control_client import Client, NotThere
 from concord.runtime.network.network_file import read_network
-from concord.runtime.processes.recorder.throttled_feed import STEPS_PER_S
+from concord.runtime.processes.recorder.throttled_feed import AT_ONCE, STEPS_PER_S
 from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh
@@ -130,16 +130,16 @@ def test_of_a_fast_network_a_page_sees_some_steps_all_events_and_the_last(
 ):
     began_s = time.monotonic()
     first = onlooker.state()["completed"]
-    frames = _until(page, lambda _: onlooker.state()["completed"] > first + 100)
+    frames = _until(page, lambda _: onlooker.state()["completed"] > first + 400)
     _say(onlooker, "cut 0 1")
-    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 250)
+    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 900)
     _say(onlooker, "heal")
-    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 350)
+    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 1400)
     last = _pause(onlooker)
     frames += _until(page, lambda frames: bool(frames) and frames[-1].step == last)
     elapsed_s = time.monotonic() - began_s
-    # And those of a moment before we began to count.
-    assert len(frames) <= 10 + STEPS_PER_S * elapsed_s
+    # A page may catch up AT_ONCE steps; and there are those of a moment before we began to count.
+    assert len(frames) <= 10 + AT_ONCE + STEPS_PER_S * elapsed_s
     steps = [frame.step for frame in frames]
     assert steps == sorted(set(steps))
     texts = [event.text for frame in frames for event in frame.events]
