@@ -105,7 +105,7 @@ def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray] | None:
     try:
         with _path(folder, name).open("rb") as file, np.load(file) as arrays:
             return {name: arrays[name] for name in arrays.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError):
         return None
 
 
