@@ -10,7 +10,7 @@ import numpy as np
 
 from concord.plants.own_plant import OwnPlant
 from concord.plants.own_sensor import named_channels
-from concord.plants.own_truth import NodeSensors
+from concord.plants.own_truth import NodeSensors, OfOwnPlant
 from concord.plants.placement import Draws, GeneratorFor
 from concord.plants.recorded.channels import (
     ChannelReadings,
@@ -30,7 +30,7 @@ _TRUTH = "truth of "
 
 
 @dataclass(frozen=True, eq=False)
-class OwnReplay:
+class OwnReplay(OfOwnPlant):
     """The sensors of an own plant deliver the readings of a log; a run repeats them.
 
     Attributes:
@@ -39,24 +39,8 @@ class OwnReplay:
         readings: (steps, nodes, r, d), up to r of one step; NaN for none.
     """
 
-    plant: OwnPlant
     truth: np.ndarray
     readings: np.ndarray
-
-    @property
-    def time_step_s(self) -> float:
-        """Sampling time."""
-        return self.plant.time_step_s
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
-        return self.plant.names
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        """Units of the states; "" where the user named none."""
-        return self.plant.units
 
     @property
     def steps(self) -> int:

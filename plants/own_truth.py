@@ -136,18 +136,10 @@ class NodeSensors:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnTruth:
-    """The truth of a plant, seen by the sensors of each node; None for a blind node.
-
-    Attributes:
-        plant: that moves.
-        nodes: the sensors of each.
-        believed: the plant of the filters; None for `plant`.
-    """
+class OfOwnPlant:
+    """Base of what stands for an own plant in a network: its time step and its states."""
 
     plant: OwnPlant
-    nodes: tuple[NodeSensors | None, ...]
-    believed: OwnPlant | None = None
 
     @property
     def time_step_s(self) -> float:
@@ -163,6 +155,20 @@ class OwnTruth:
     def state_units(self) -> tuple[str, ...]:
         """Units of the states; "" where the user named none."""
         return self.plant.units
+
+
+@dataclass(frozen=True, eq=False)
+class OwnTruth(OfOwnPlant):
+    """The truth of a plant, seen by the sensors of each node; None for a blind node.
+
+    Attributes:
+        plant: that moves.
+        nodes: the sensors of each.
+        believed: the plant of the filters; None for `plant`.
+    """
+
+    nodes: tuple[NodeSensors | None, ...]
+    believed: OwnPlant | None = None
 
     @cached_property
     def _entries(self) -> int:
