@@ -30,7 +30,7 @@ def launched(setup: Setup, out: Path | None, dashboard: bool) -> Path:
     page = PageProcess(_HTTP_PORT)
     try:
         on_step = page.beside(folder, lambda _: None) if dashboard else lambda _: None
-        over_processes(setup, name, folder / RECORDING, None, on_step)
+        over_processes(setup, name, folder / RECORDING, None, on_step, begins_paused=dashboard)
     finally:
         page.close()
     trace = completed(folder, description)

@@ -1,9 +1,9 @@
 """The dashboard beside a run: a process of its own that ends with the launcher.
 
-The network waits for the first user of the page, for a limited time, so that the user sees the
-beginning. The launcher writes the token of the page to its standard input, and `RUN_IS_OVER` when
-the run is over, or `NETWORK_IS_GONE`. The page writes its port to its standard output, and
-`RUN_AGAIN` when the user presses that button.
+The network begins paused and waits for the first user of the page, for a limited time, so that
+the user sees the beginning. The launcher writes the token of the page to its standard input, and
+`RUN_IS_OVER` when the run is over, or `NETWORK_IS_GONE`. The page writes its port to its standard
+output, and `RUN_AGAIN` when the user presses that button.
 """
 
 import queue
@@ -15,9 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from concord.nodes.commands import Pause
 from concord.runtime.interpreter import fresh_command, fresh_variables
-from concord.runtime.network.network_file import read_network
 
 RUN_IS_OVER, NETWORK_IS_GONE, RUN_AGAIN = b"over\n", b"gone\n", b"again\n"
 PORT = b"port "
@@ -55,13 +53,6 @@ class PageProcess:
         return told
 
     def _start(self, folder: Path) -> None:
-        # A session with a network takes longer to load than all else here.
-        from concord.runtime.network.control_client import Client
-
-        network = read_network(folder)
-        client = Client(network.connect, network.run)
-        client.command(Pause())
-        client.close()
         # The page of the run before has stayed until now.
         self.close()
         place = ("--folder", str(folder), "--http-port", str(self._http_port), *self._public)

@@ -82,9 +82,10 @@ def over_processes(
     port: int | None,
     on_step: Callable[[int], None],
     tempo: Tempo | None = None,
+    begins_paused: bool = False,
 ) -> RunPace:
     """One operating-system process per node, messages over zenoh, in lockstep; with a
-    `tempo` in real time.
+    `tempo` in real time. In lockstep, a network that `begins_paused` waits for a command.
 
     Raises:
         NetworkFailed: a process died.
@@ -106,7 +107,7 @@ def over_processes(
     # Only here: a run in process starts none.
     from concord.runtime.processes.launcher import run_processes
 
-    run_processes(setup, run, recording, port, on_event, tempo)
+    run_processes(setup, run, recording, port, on_event, tempo, begins_paused)
     return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s)
 
 

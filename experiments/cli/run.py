@@ -151,10 +151,9 @@ def _watched(
         steps = setup.scenario.steps
         shown = progress(setup.scenario.name, steps, as_json=output.json)
         with shown as on_step, user_errors():
-            driver = (
-                DRIVERS[output.driver] if tempo is None else partial(over_processes, tempo=tempo)
-            )
+            driver = DRIVERS.get(output.driver, partial(over_processes, tempo=tempo))
             if output.dashboard:
+                driver = partial(over_processes, begins_paused=True)
                 on_step = page.beside(folder, on_step)
             pace = driver(setup, name, folder / RECORDING, output.port, on_step)
             page.tell_end()

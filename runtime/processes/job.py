@@ -26,8 +26,9 @@ class Job(msgspec.Struct, frozen=True):
     """A run that the launcher asks for.
 
     `port` is the first of the user's choice, 0 for free ones, None for unix sockets in the folder
-    `sockets`, which `run_job` makes. `tempo` is that of real time, None for lockstep. `place` is
-    None where all is on this machine.
+    `sockets`, which `run_job` makes. `tempo` is that of real time, None for lockstep. A
+    lockstep network that `begins_paused` waits for a command before step 0. `place` is None where
+    all is on this machine.
     """
 
     setup: Setup
@@ -37,6 +38,7 @@ class Job(msgspec.Struct, frozen=True):
     tempo: Tempo | None = None
     place: HostPlace | None = None
     sockets: str | None = None
+    begins_paused: bool = False
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -43,6 +43,7 @@ def run_processes(
     port: int | None,
     on_event: Callable[[Happened], None],
     tempo: Tempo | None = None,
+    begins_paused: bool = False,
 ) -> None:
     """Run `setup` with one process per node; its messages are in `recording` when this returns.
 
@@ -53,12 +54,14 @@ def run_processes(
         port: first of consecutive loopback ports, 0 for free ones, or None for unix sockets.
         on_event: told when the network is ready and as steps complete.
         tempo: that of real time, None for lockstep.
+        begins_paused: in lockstep, step 0 waits for a command of the user.
 
     Raises:
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: `port` cannot be used.
     """
-    run_job(Job(setup, run, str(recording), port, tempo), recording.parent, on_event)
+    job = Job(setup, run, str(recording), port, tempo, begins_paused=begins_paused)
+    run_job(job, recording.parent, on_event)
 
 
 def raise_file_limit() -> None:

@@ -107,7 +107,7 @@ def be_environment(
         setup=msgspec.json.encode(job.setup),
     )
     script = script_of(job.setup.scenario)
-    pacing = Lockstep() if job.tempo is None else RealTime(job.tempo)
+    pacing = Lockstep(job.begins_paused) if job.tempo is None else RealTime(job.tempo)
     known = (config, fingerprint(job.setup), management, pacing, script)
     work = partial(run_environment, job.run, links, *known)
     try:

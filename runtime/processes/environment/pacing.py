@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from concord.nodes.changes import Gone, Welcome
 from concord.nodes.command_checks import check_timely
-from concord.nodes.commands import Command, Speed
+from concord.nodes.commands import Command, Pause, Speed
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.messages import EnvironmentMessage, Start, StepClosed, encode, topic
 from concord.nodes.run_controller import RunController
@@ -145,7 +145,8 @@ class Lockstep:
     timed = False
     start_s = None
 
-    def __init__(self) -> None:
+    def __init__(self, begins_paused: bool = False) -> None:
+        self._begins_paused = begins_paused
         self._beats: Callable[[float], None] = lambda steps_per_second: None
 
     def configured(self, config: EnvironmentConfig) -> EnvironmentConfig:
@@ -153,9 +154,9 @@ class Lockstep:
         return config
 
     def begin(self, controller: RunController, lines: Lines) -> list[EnvironmentMessage]:
-        """Begin the first step."""
+        """Begin the first step, or wait for the command to begin it."""
         self._beats = Metronome(lambda: lines.notify(Beat())).set
-        return controller.begin()
+        return controller.command(Pause()) if self._begins_paused else controller.begin()
 
     def close(self) -> None:
         """End the beats of a limited speed."""

@@ -10,6 +10,7 @@ from concord.nodes.messages import Estimate, Timing, decode
 from concord.results.folder import read_description
 from concord.runtime.drivers import in_this_process
 from concord.runtime.recording import read_recording
+from concord.scenarios.tempo import tempo_of
 from concord.studies.agree import first_difference
 from tests.experiments.support import trace_of
 from tests.features.hosts.hosts import hosts
@@ -59,6 +60,7 @@ def run(folder: Path, *clocks: tuple[float, float]) -> tuple[dict, list[Timing |
 
 def test_hosts_whose_clocks_are_hours_apart_stay_in_step(tmp_path: Path):
     figures, said = run(tmp_path, (7200.25, 1.0), (-86_400.5, 1.0))
+    setup = read_description(tmp_path / "run").setup
     for node in range(4):
         mine = [one for one in said if isinstance(one, Timing) and one.node == node]
         assert [one.step for one in mine] == list(range(STEPS))
@@ -67,10 +69,11 @@ def test_hosts_whose_clocks_are_hours_apart_stay_in_step(tmp_path: Path):
         sent_s = [
             one.age_s or 0.0 for one in said if isinstance(one, Estimate) and one.node == node
         ]
-        assert abs(np.median(sent_s) - 0.06) < 0.02
+        # No estimate before its three cycles are over. A busy machine may send it later, but no
+        # node sends one that counts as lost.
+        assert 0.04 < np.median(sent_s) < tempo_of(setup, None).oldest_s
     assert figures["deadline_misses"] < figures["cycles"] / 2
     if figures["deadline_misses"] == 0:
-        setup = read_description(tmp_path / "run").setup
         in_this_process(setup, "one", tmp_path / "one.mcap", None, lambda step: None)
         one = trace_of(setup, tmp_path / "one.mcap")
         several = trace_of(setup, tmp_path / "run" / "run.mcap")
