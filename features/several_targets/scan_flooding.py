@@ -20,6 +20,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.messages import Measured, ReportedTracks
 from concord.nodes.rules.labelled.flooding import LabelledContent, LabelledFlooding
 from concord.nodes.rules.labelled.frame import LabelledShare
+from concord.nodes.rules.labelled.kept_steps import KeptSteps
 from concord.nodes.rules.labelled.window_filter import WindowFilter, Windows
 from concord.nodes.rules.lane_rule import Failures
 
@@ -217,23 +218,15 @@ def _digest(before: bytes, records: StepRecords) -> bytes:
 class KeptTracks:
     """A tracker that keeps its results of the last `steps` steps.
 
-    Nodes of one process that share it compute tracks of equal records once. It is a function all
-    the same: the result depends on nothing that is kept.
+    Nodes of one process that share it compute tracks of equal records once.
     """
 
     def __init__(self, track: TrackStep, steps: int) -> None:
-        self._track, self._steps, self._newest = track, steps, -1
+        self._track = track
         # The tracks before the step are kept beside those after it, so that no other has its id.
-        self._kept: dict[tuple[int, int, StepRecords], tuple[Tracked, Tracked]] = {}
+        self._kept = KeptSteps[tuple[Tracked, Tracked]](steps)
 
     def __call__(self, before: Tracked, step: int, records: StepRecords) -> Tracked:
         """Return the tracks after a step."""
-        oldest = step - self._steps
-        if step > self._newest or step <= self._newest - self._steps:
-            # Much earlier steps are those of another run.
-            self._newest = step
-            self._kept = {k: kept for k, kept in self._kept.items() if oldest < k[1] <= step}
-        key = (id(before), step, records)
-        if key not in self._kept:
-            self._kept[key] = (before, self._track(before, step, records))
-        return self._kept[key][1]
+        key = (id(before), records)
+        return self._kept.of(step, key, lambda: (before, self._track(before, step, records)))[1]

@@ -1,5 +1,6 @@
 """The rule `labelled` at one node and at all nodes of many runs."""
 
+from functools import lru_cache
 from typing import Any
 
 from concord.filters.filter import Filter
@@ -9,7 +10,8 @@ from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled.checked import SelfCheckedFlooding, SmoothingFlooding
 from concord.nodes.rules.labelled.frame import LabelledFrameCodec
-from concord.nodes.rules.labelled.window_filter import WindowFilter
+from concord.nodes.rules.labelled.kept_steps import KeptSteps
+from concord.nodes.rules.labelled.window_filter import FilteredPlace, WindowFilter
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext
 from concord.scenarios.rule_table.labelled import (
@@ -22,6 +24,10 @@ from concord.scenarios.rule_table.labelled import (
     without_arrays,
 )
 from concord.scenarios.rule_table.rule import Rule
+from concord.scenarios.scenario import Scenario
+
+# How many steps a node may be ahead of another in lockstep.
+_LEAD_STEPS = 4
 
 
 def node_parts(window: type[WindowFilter], context: NodeContext) -> dict[str, Any]:
@@ -75,7 +81,23 @@ def _window_filter(
 ) -> WindowFilter:
     sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
     silence_fits = flooding_of(everybody.scenario).withhold_below > 0
-    return window(model, filter, sensors, frames.codecs, silence_fits, everybody.late_steps)
+    return window(
+        model,
+        filter,
+        sensors,
+        frames.codecs,
+        silence_fits,
+        everybody.late_steps,
+        _kept_steps(everybody.scenario, window, frames.window_steps),
+    )
+
+
+@lru_cache(maxsize=2)
+def _kept_steps(
+    _scenario: Scenario, _window: type[WindowFilter], steps: int
+) -> KeptSteps[FilteredPlace]:
+    """What nodes of one scenario share in one process: its model, filter and sensors are equal."""
+    return KeptSteps(steps + _LEAD_STEPS)
 
 
 def _at_node(context: NodeContext) -> AnyEstimator:

@@ -17,6 +17,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.turns import angles_of, beside
 from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
+from concord.nodes.rules.labelled.kept_steps import KeptSteps
 from concord.nodes.rules.labelled.record_codec import RecordForm
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
@@ -68,13 +69,24 @@ class Windows(NamedTuple):
         return self.step - (len(self.controls) - 1 - place)
 
 
+class FilteredPlace(NamedTuple):
+    """A place of windows of lanes (L,): posteriors, what went well, and what records said."""
+
+    belief: Gaussian
+    moved: np.ndarray
+    updated: np.ndarray
+    surprise: np.ndarray
+    entries: np.ndarray
+
+
 @dataclass(frozen=True)
 class WindowFilter:
     """Knowledge common to all nodes: the plant, and the sensor and records of each node.
 
     A record that cannot be used is counted; its step keeps the prediction. `silence_fits`: sources
     withhold what fits the prediction, so that no record counts as one of no surprise. `late_steps`
-    (N,): from a reading of a node to its delivery.
+    (N,): from a reading of a node to its delivery. `kept` is shared by the nodes of one process:
+    most of their windows have equal records in all but the newest steps.
     """
 
     model: Model
@@ -83,6 +95,7 @@ class WindowFilter:
     codecs: Sequence[RecordForm | None]
     silence_fits: bool = False
     late_steps: tuple[int, ...] = ()
+    kept: KeptSteps[FilteredPlace] | None = None
 
     def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:
         """Windows of no steps on priors (R, M, n), for at most `width` steps."""
@@ -169,13 +182,12 @@ class WindowFilter:
         }
         for place in range(int(begin.min()), len(windows.controls)):
             runs, lanes = np.nonzero(begin <= place)
-            own = held[runs, lanes]
-            belief, moved = self._carried(windows, posteriors, place, runs, lanes, own)
-            belief, updated, *told = self._updated(windows, place, runs, belief, own[:, place])
-            surprise[runs, lanes, place], entries[runs, lanes, place] = told
-            for values, found in zip(posteriors, belief, strict=True):
-                values[runs, lanes, place] = found
-            for name, sound in zip(failures, (moved, updated), strict=True):
+            found = self._filtered_place(windows, posteriors, place, runs, lanes, held[runs, lanes])
+            surprise[runs, lanes, place] = found.surprise
+            entries[runs, lanes, place] = found.entries
+            for values, belief in zip(posteriors, found.belief, strict=True):
+                values[runs, lanes, place] = belief
+            for name, sound in zip(failures, (found.moved, found.updated), strict=True):
                 if not sound.all():
                     failures[name][runs, lanes] += ~sound
         right = np.full_like(windows.right, len(windows.controls))
@@ -183,6 +195,33 @@ class WindowFilter:
             posteriors=posteriors, right=right, surprise=surprise, entries=entries
         )
         return filtered, failures
+
+    def _filtered_place(
+        self,
+        windows: Windows,
+        posteriors: Gaussian,
+        place: int,
+        runs: np.ndarray,
+        lanes: np.ndarray,
+        held: np.ndarray,
+    ) -> FilteredPlace:
+        """A place by those before it, of what lanes hold (L, W, N)."""
+
+        def compute() -> FilteredPlace:
+            belief, moved = self._carried(windows, posteriors, place, runs, lanes, held)
+            belief, updated, *told = self._updated(windows, place, runs, belief, held[:, place])
+            return FilteredPlace(belief, moved, updated, *told)
+
+        if self.kept is None or len(runs) > 1:
+            return compute()
+        is_first, control = place == windows.first, windows.controls[place]
+        before = windows.base if is_first else Gaussian(*(v[:, :, place - 1] for v in posteriors))
+        near = slice(place if is_first else place - 1, place + 1)
+        numbers = (*before, windows.values[:, near], windows.noise_covs[:, near], held[:, near])
+        key = (is_first, None if control is None else control.tobytes())
+        return self.kept.of(
+            windows.step_at(place), (*key, *(one.tobytes() for one in numbers)), compute
+        )
 
     def _carried(
         self,
