@@ -16,8 +16,9 @@ from tests.experiments.support import scenario
 
 def alone(node: NodeConfig) -> NodeConfig:
     """The node with windows that it filters by itself."""
-    own = dataclasses.replace(node.estimator.filter, kept=None)
-    return dataclasses.replace(node, estimator=dataclasses.replace(node.estimator, filter=own))
+    estimator: Any = node.estimator
+    own = dataclasses.replace(estimator.filter, kept=None)
+    return dataclasses.replace(node, estimator=dataclasses.replace(estimator, filter=own))
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
