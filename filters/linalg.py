@@ -117,6 +117,12 @@ def unpack_upper(packed: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
+def above_diagonal(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the numbers above the diagonal of (n, n), row by row."""
+    return np.triu_indices(n, 1)
+
+
+@functools.cache
 def _upper_triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(n)
 

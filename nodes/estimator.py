@@ -46,6 +46,10 @@ class Estimator(Protocol[Content, Share]):
         """Return the share to send now."""
         ...
 
+    def next_bytes(self, content: Content) -> int:
+        """Length of the share that `compose` would return."""
+        ...
+
     def accept(self, body: bytes) -> Share:
         """The share that these bytes mean.
 

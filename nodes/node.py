@@ -282,9 +282,8 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
     bid = None if mute else config.estimator.bid(state.content)
     if bid is None:
         return Bid(config.index, state.cycle, None, 0, state.group)
-    # Composing changes nothing here: it says how long the share would be.
-    _, body = config.estimator.compose(state.content)
-    payloads = config.bus.payloads(config.index, state.cycle, len(body))
+    body_bytes = config.estimator.next_bytes(state.content)
+    payloads = config.bus.payloads(config.index, state.cycle, body_bytes)
     return Bid(config.index, state.cycle, bid, sum(payloads), state.group)
 
 

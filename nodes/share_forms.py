@@ -31,7 +31,14 @@ from concord.filters.gaussian import (
     to_gaussian,
     to_information,
 )
-from concord.filters.linalg import cholesky, inverse_of_triangle, multiply, pack_upper, unpack_upper
+from concord.filters.linalg import (
+    above_diagonal,
+    cholesky,
+    inverse_of_triangle,
+    multiply,
+    pack_upper,
+    unpack_upper,
+)
 
 # Relative errors of a float32 that was rounded to the nearest, and of sums of a few doubles.
 _SINGLE = 2.0**-24
@@ -76,12 +83,12 @@ class ShareForm(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class AboutOrigin:
     """The `form` of numbers that begin with a mean, which it writes about an origin (n,)."""
 
     form: ShareForm
-    origin: np.ndarray
+    origin: tuple[float, ...]
 
     @property
     def length(self) -> int:
@@ -201,7 +208,7 @@ class TwoByteBelief:
         variances = _rounded_up(np.maximum(needed, (reach * (1.0 + _DOUBLE)) ** 2))
         deviations = np.sqrt(_of_positive(variances))
         means = _integers(mean / (deviations * _MEAN_STEP))
-        places = np.triu_indices(n, 1)
+        places = above_diagonal(n)
         scale = deviations[..., places[0]] * deviations[..., places[1]]
         correlations = _integers(cov[..., places[0], places[1]] / scale / _CORRELATION_STEP)
         sound = np.isfinite(numbers).all(axis=-1, keepdims=True)
@@ -216,7 +223,7 @@ class TwoByteBelief:
         deviations = np.sqrt(variances)
         mean = _signed(codes[..., :n]) * (deviations * _MEAN_STEP)
         cov = np.zeros((*codes.shape[:-1], n, n))
-        places = np.triu_indices(n, 1)
+        places = above_diagonal(n)
         scale = deviations[..., places[0]] * deviations[..., places[1]]
         cov[..., places[0], places[1]] = _signed(codes[..., 2 * n :]) * _CORRELATION_STEP * scale
         cov[..., np.arange(n), np.arange(n)] = variances
@@ -446,8 +453,8 @@ def _of_positive(codes: np.ndarray) -> np.ndarray:
 
 def _integers(values: np.ndarray) -> np.ndarray:
     """The nearest int16, as uint16; 0 for what is not a number."""
-    rounded = np.clip(np.rint(np.nan_to_num(values) - _NUDGE), -_LARGEST, _LARGEST)
-    return rounded.astype(np.int16).view(np.uint16)
+    rounded = np.minimum(np.maximum(np.rint(values - _NUDGE), -_LARGEST), _LARGEST)
+    return np.where(np.isnan(rounded), 0, rounded).astype(np.int16).view(np.uint16)
 
 
 def _signed(codes: np.ndarray) -> np.ndarray:

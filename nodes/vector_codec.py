@@ -3,7 +3,7 @@
 import math
 import struct
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -51,14 +51,15 @@ class VectorCodec:
 
     def received(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors (..., length) as a receiver reads them."""
-        return vectors if self.exact else self._read(self._written(vectors))
+        return vectors if self.exact else self.read(self._written(vectors))
 
     def _written(self, vectors: np.ndarray) -> np.ndarray:
         if self.form is not None:
             return self.form.codes(vectors)
         return vectors.astype(self._dtype, copy=False)
 
-    def _read(self, codes: np.ndarray) -> np.ndarray:
+    def read(self, codes: np.ndarray) -> np.ndarray:
+        """The vectors (..., length) in codes."""
         if self.form is not None:
             return self.form.numbers(codes)
         return codes.astype(np.float64, copy=False)
@@ -75,7 +76,7 @@ class VectorCodec:
             raise Rejected(f"{self.what}-length")
         body = body[:size]
         if self._dtype.kind != "f":
-            finite = bool(np.isfinite(self.unpack(body)).all())
+            finite = bool(np.isfinite(_decoded(self, body)).all())
         else:
             # Finite numbers may have an infinite sum, but no sum of others is finite.
             numbers = self._numbers.unpack(body)
@@ -86,8 +87,10 @@ class VectorCodec:
 
     def unpack(self, *bodies: bytes) -> np.ndarray:
         """The vectors (K, length) in K bodies that were checked."""
+        if self.form is not None:
+            return np.array([_decoded(self, body) for body in bodies]).reshape(-1, self.length)
         codes = np.frombuffer(b"".join(bodies), self._dtype)
-        return self._read(codes.reshape(len(bodies), self.size // self._dtype.itemsize))
+        return self.read(codes.reshape(-1, self.length))
 
     def decode(self, body: bytes) -> np.ndarray:
         """The vector (length,) that `encode` wrote.
@@ -96,6 +99,15 @@ class VectorCodec:
             Rejected: as `check`.
         """
         return self.unpack(self.check(body))[0]
+
+
+# Kept: a share has as many receivers as its sender has neighbours, and each checks it first.
+@lru_cache(4096)
+def _decoded(codec: VectorCodec, body: bytes) -> np.ndarray:
+    """The vector (length,) in a body that is long enough."""
+    numbers = codec.read(np.frombuffer(body, codec.number))
+    numbers.setflags(write=False)
+    return numbers
 
 
 def not_numbers(count: int, number: str) -> bytes:

@@ -21,10 +21,12 @@ from concord.scenarios.user.faults import user_faults
 
 
 class RunPace(NamedTuple):
-    """How fast a run went; `ready_s` from the first fork to the first heartbeat, for processes."""
+    """How fast a run went. For processes: `ready_s` from the first fork to the first heartbeat, and
+    the messages that processes repeated, as they might have been lost."""
 
     steps_per_second: float | None
     ready_s: float | None
+    repeated_messages: int | None = None
 
 
 Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], RunPace]
@@ -92,15 +94,18 @@ def over_processes(
         ValueError: the port cannot be used.
     """
     ready_s = last_s = 0.0
+    repeated = 0
 
     def on_event(happened: Happened) -> None:
-        nonlocal ready_s, last_s
+        nonlocal ready_s, last_s, repeated
         match happened.what:
             case "ready":
                 ready_s = happened.seconds
             case "step":
                 last_s = happened.seconds
                 on_step(happened.step)
+            case "repeated":
+                repeated += happened.count
             case "ended":
                 sys.stderr.write(f"{happened.detail}; the others go on\n")
 
@@ -108,7 +113,7 @@ def over_processes(
     from concord.runtime.processes.launcher import run_processes
 
     run_processes(setup, run, recording, port, on_event, tempo, begins_paused)
-    return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s)
+    return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s, repeated)
 
 
 # Drivers that give equal bits.

@@ -110,6 +110,10 @@ class SensorNode:
         """The reading."""
         return content._replace(sent=True), self.codec.encode(content.reading)
 
+    def next_bytes(self, content: SensorContent) -> int:
+        """Length of the share that `compose` would return."""
+        return self.share_bytes
+
     def accept(self, body: bytes) -> np.ndarray:
         """A measurement (`MeasurementCodec.decode`); sensors have no use for it."""
         return self.codec.decode(body)
@@ -190,6 +194,10 @@ class ReceiverNode:
     def compose(self, content: ReceiverContent) -> tuple[ReceiverContent, bytes]:
         """Nothing."""
         return content, self.codec.encode(np.empty(0))
+
+    def next_bytes(self, content: ReceiverContent) -> int:
+        """Length of the share that `compose` would return."""
+        return self.share_bytes
 
     def accept(self, body: bytes) -> np.ndarray:
         """The measurement in a share (`MeasurementCodec.decode`)."""

@@ -139,6 +139,10 @@ class ScanFlooding:
         flooded, body = self.flooding.compose(content.flooded)
         return _with_flooded(content, flooded), body
 
+    def next_bytes(self, content: ScanContent) -> int:
+        """Length of the share that `compose` would return."""
+        return self.flooding.next_bytes(content.flooded)
+
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean.
 

@@ -122,6 +122,10 @@ class TrackExchange:
         body = self.codec.encode(share, content.step)
         return content._replace(spoken=content.spoken + 1, news=0), body
 
+    def next_bytes(self, content: TrackContent) -> int:
+        """Length of the share that `compose` would return."""
+        return len(self.compose(content)[1])
+
     def accept(self, body: bytes) -> TrackShare:
         """The share that these bytes mean, its tracks looked at so many steps before step 0.
 

@@ -90,6 +90,10 @@ class AtNode(Generic[Own, Held, Share]):
         """Return the share to send now; remember what neighbours will hold of this node."""
         return self.rule.sent(content, _SENDS), self.codec.encode(self.rule.say(content))
 
+    def next_bytes(self, content: LaneContent[Own, Held]) -> int:
+        """The length of every share."""
+        return self.share_bytes
+
     def accept(self, body: bytes) -> bytes:
         """A body of which numbers can be read (`VectorCodec.check`)."""
         return self.codec.check(body)

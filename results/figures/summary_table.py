@@ -250,6 +250,8 @@ def details(figures: Summary) -> list[str]:
         text.append(f"ready after {found['ready_s']:.2f} s")
     if "steps_per_second" in found:
         text.append(f"{found['steps_per_second']:.1f} steps per second")
+    if found.get("repeated_messages"):
+        text.append(f"{found['repeated_messages']} messages were repeated between processes")
     if "seconds" in found:
         text.append(
             f"{found['seconds']:.2f} s, {found['node_updates_per_second']:,.0f} node updates per "

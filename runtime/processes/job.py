@@ -42,13 +42,15 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A report to the launcher: started, ready, step, ended, done, refused or failed.
+    """A report to the launcher: started, ready, step, ended, repeated, done, refused or failed.
 
-    `pids` are all that live, by name; subscribers connect to all of `connect`.
+    `count` is of messages that were repeated. `pids` are all that live, by name; subscribers
+    connect to all of `connect`.
     """
 
     what: str
     step: int = 0
+    count: int = 0
     seconds: float = 0.0
     pids: dict[str, int] = {}
     connect: list[str] = []

@@ -3,10 +3,10 @@
 zenoh loses nothing on a link that stands. A link that breaks loses the messages under way, and a
 process that was held up for longer than the lease breaks its own links. In lockstep a node would
 wait for a lost message for ever. So a process repeats its messages of the last steps below `again/`
-in two cases: it has sent nothing new for a second, or a link has come back. That is enough: if one
-process cannot go on, all wait, also the sender of the lost message. The sender still has it, as no
-process is further behind than `EARLY_STEPS`. A receiver takes the messages that it lacks
-(`runtime/processes/republisher.py`).
+in two cases: it has sent nothing new for a second and for several steps, or a link has come back.
+That is enough: if one process cannot go on, all wait, also the sender of the lost message. The
+sender still has it, as no process is further behind than `EARLY_STEPS`. A receiver takes the
+messages that it lacks (`runtime/processes/republisher.py`).
 
 No process waits for the recorder, so the network would go on while the recorder loses messages.
 While its link is away publishers pause. When it is back, they first repeat their buffers below
@@ -21,6 +21,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from concord.bus.bus import FrameFormat, Rejected
 from concord.nodes.inbox import EARLY_STEPS
@@ -32,6 +33,9 @@ from concord.runtime.network.zenoh_transport import Transport
 AGAIN, KEEP = "again", "keep"
 # A process that has sent nothing for so long repeats: at first, and later.
 _AGAIN_S, _AT_MOST_S = 1.0, 10.0
+# And for so many times the longest of its last steps: with 200 processes on two cores a step takes
+# a second.
+_AGAIN_STEPS, _LAST_STEPS = 4, 8
 # Messages of the last seconds may be under way: a link that stands still for longer than the
 # lease is broken.
 _UNDER_WAY_S = 6.0
@@ -64,6 +68,8 @@ class Republisher:
         self._at_least, self._dropped = kept, 0
         # How much had been said when.
         self._marks: deque[tuple[float, int]] = deque()
+        # When its last steps ended.
+        self._ends_s: deque[float] = deque(maxlen=_LAST_STEPS + 1)
         # A repetition comes after what it repeats.
         self._order = threading.Lock()
         self._links = threading.Lock()
@@ -96,6 +102,11 @@ class Republisher:
         with self._order:
             self._transport.send(topic, data)
             self._kept.append((topic, data))
+            if self._ends_step(topic):
+                self._ends_s.append(time.monotonic())
+
+    def _ends_step(self, topic: str) -> bool:
+        return topic.partition("/")[0] == self._last
 
     def begin_anew(self) -> None:
         """From here on earlier messages concern the recorder alone."""
@@ -119,7 +130,7 @@ class Republisher:
 
     def _look(self) -> None:
         """In a thread of its own."""
-        latest, since, pause_s, told = None, time.monotonic(), _AGAIN_S, 0
+        latest, since, pause_s, told = None, time.monotonic(), quiet_s(()), 0
         # When the recorder is told once more.
         once_more_s = math.inf
         while True:
@@ -138,7 +149,7 @@ class Republisher:
             self._forget(time.monotonic())
             before, latest = latest, (self._kept[-1] if self._kept else None)
             if latest is not before:
-                since, pause_s, told = time.monotonic(), _AGAIN_S, 0
+                since, pause_s, told = time.monotonic(), quiet_s(tuple(self._ends_s)), 0
             if back or latest is before:
                 self._repeat(f"{AGAIN}/", self._recent())
                 if self._finished:
@@ -195,13 +206,19 @@ class Republisher:
             if message is _ANEW or steps > EARLY_STEPS:
                 break
             recent.append(message)
-            steps += message[0].partition("/")[0] == self._last
+            steps += self._ends_step(message[0])
         return recent[::-1]
 
     def _repeat(self, below: str, messages: list[tuple[str, bytes]]) -> None:
         for topic, data in messages:
             if topic:
                 self._transport.send(below + topic, data)
+
+
+def quiet_s(ends_s: Sequence[float]) -> float:
+    """How long a process says nothing new before it repeats, where its last steps ended then."""
+    steps_s = (after - before for before, after in pairwise(ends_s))
+    return min(max(_AGAIN_STEPS * max(steps_s, default=0.0), _AGAIN_S), _AT_MOST_S)
 
 
 # More than all processes of a network of 64 nodes keep.

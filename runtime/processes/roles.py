@@ -61,10 +61,15 @@ def be_recorder(
         # In real time a node that hangs must not hold up a page.
         wait = {} if job.tempo is None else {"longest_wait_steps": _LONGEST_WAIT_STEPS}
         steps = WholeSteps(scenario.nodes, scenario.rounds, frames, **wait)
-        _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder, steps))
+        known = (links[RECORDER], links[WATCH], recorder, steps)
+        _joining(partial(run_recorder, job.run, *known, partial(_tell_repeats, tell)))
     except NotWritten as error:
         tell(Happened("failed", detail=str(error)))
         sys.exit(1)
+
+
+def _tell_repeats(tell: Callable[[Happened], None], repeats: int) -> None:
+    tell(Happened("repeated", count=repeats))
 
 
 def be_environment(

@@ -83,7 +83,7 @@ class ShareKind(NamedTuple):
         form = self.forms.get(number)
         made = None if form is None else form(states, nodes)
         if made is not None and self.has_mean and origin is not None:
-            made = AboutOrigin(made, origin)
+            made = AboutOrigin(made, tuple(origin.tolist()))
         return VectorCodec(self.length(states, nodes), number, self.what, made)
 
     def has(self, number: str) -> bool:

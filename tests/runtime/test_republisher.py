@@ -50,6 +50,32 @@ def told_by(capsys: pytest.CaptureFixture[str]) -> str:
     return told
 
 
+def test_repeats_follow_the_length_of_a_step():
+    """200 processes on two cores have steps of a second, in which none has lost anything."""
+    assert republisher.quiet_s(()) == republisher.quiet_s((5.0,)) == 1.0
+    assert republisher.quiet_s((0.0, 0.01, 0.02)) == 1.0
+    assert republisher.quiet_s((0.0, 0.5, 2.0, 2.1)) == pytest.approx(6.0)
+    # After a pause of an hour a lost message still comes back soon.
+    assert republisher.quiet_s((0.0, 3600.0)) == 10.0
+
+
+def test_a_process_repeats_later_if_its_steps_take_long(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    transport = Standing()
+    transport.may.set()
+    speaker = of_node(transport)
+    for _ in range(2):
+        speaker.say("estimate/0", b"{}")
+        time.sleep(0.25)
+    speaker.say("share/0", b"{}")
+    began_s = time.monotonic()
+    speaker.begin()
+    assert holds_within(20, lambda: any(topic.startswith("again/") for topic, _ in transport.sent))
+    # Four steps of a quarter of a second, looked at every hundredth.
+    assert time.monotonic() - began_s > 0.9
+    speaker.close()
+
+
 def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,
 ):

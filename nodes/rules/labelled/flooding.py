@@ -178,6 +178,10 @@ class LabelledFlooding:
     def _doubts(self, content: LabelledContent) -> RecordSets:
         return self.choice.doubts(content.kept.held, content.near.known)
 
+    def next_bytes(self, content: LabelledContent) -> int:
+        """Length of the share that `compose` would return."""
+        return len(self.compose(content)[1])
+
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean (`LabelledFrameCodec.decode`)."""
         share = self.frames.decode(body)

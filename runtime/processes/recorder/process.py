@@ -28,7 +28,7 @@ _GRACE_S = 2.0
 STRANGE = "strange"
 # Through a router the recorder hears itself, too.
 _UNRECORDED = ("hello", "recorded", "start", "end", AGAIN, WATCH)
-_ONCE_MORE = f"{KEEP}/"
+_ONCE_MORE, _AGAIN = f"{KEEP}/", f"{AGAIN}/"
 
 
 class Finished(msgspec.Struct, frozen=True):
@@ -46,11 +46,17 @@ _estimated = msgspec.json.Decoder(_Estimated)
 
 
 def run_recorder(
-    run: str, links: ZenohEndpoints, watch: ZenohEndpoints, recorder: Recorder, steps: WholeSteps
+    run: str,
+    links: ZenohEndpoints,
+    watch: ZenohEndpoints,
+    recorder: Recorder,
+    steps: WholeSteps,
+    on_end: Callable[[int], None] = lambda repeats: None,
 ) -> None:
     """Record every message until the environment has finished and all last estimates have come.
 
-    Subscribers hear recorded messages on `watch`, message by message and in whole `steps`.
+    Subscribers hear recorded messages on `watch`, message by message and in whole `steps`. `on_end`
+    is told how many messages processes have repeated for each other.
 
     Raises:
         LinkError: the network cannot be joined.
@@ -64,9 +70,11 @@ def run_recorder(
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
     topics: set[str] = set()
+    repeats = 0
     while not told.is_set() and not (finished and _complete(finished, latest, ends.silent)):
         received, is_woken = transport.receive_all("**")
         received = remembered.what_is_new(received, _ONCE_MORE)
+        repeats += sum(name.startswith(_AGAIN) for name, _ in received)
         kept = list(_to_be_kept(received, steps.nodes, topics))
         recorder.record(kept)
         subscribers.tell(kept)
@@ -88,6 +96,7 @@ def run_recorder(
             ends.look()
             subscribers.look()
     recorder.close()
+    on_end(repeats)
     if told.is_set():
         # The launcher process ends all others; this one has kept what it was there for.
         return
