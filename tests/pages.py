@@ -46,8 +46,8 @@ def link_checkout(above: Path) -> Path:
     return folder
 
 
-def run_as_reader(command: str, checkout: Path) -> None:
-    """Run a command in the project's environment; fails unless it succeeds."""
+def run_as_reader(command: str, checkout: Path) -> str:
+    """Run a command in the project's environment; return its output. Fails unless it succeeds."""
     if re.search("[ :]data/", command) and not DATA.is_dir():
         pytest.skip("needs recorded data in ../shared/data, which is no part of the checkout")
     binaries = Path(sys.executable).parent
@@ -64,3 +64,4 @@ def run_as_reader(command: str, checkout: Path) -> None:
     )
     assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
     assert "Traceback" not in done.stderr
+    return done.stdout

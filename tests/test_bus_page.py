@@ -23,3 +23,12 @@ def test_a_recording_becomes_a_network_as_the_page_says(tmp_path: Path):
     assert commands[4].startswith("concord run") and "--slots car_slots.toml" in commands[4]
     for command in commands:
         run_as_reader(command, checkout)
+
+
+def test_signals_of_a_log_become_an_estimate_as_the_page_says(tmp_path: Path):
+    checkout = link_checkout(tmp_path)
+    text = PAGE.read_text(encoding="utf-8")
+    (chain,) = [block for block in blocks(text, "sh") if "bus_signals" in block]
+    said = [run_as_reader(command, checkout) for command in chain.splitlines()]
+    assert "front_v: 4 are not valid" in said[1]
+    assert said[2].startswith("WORKS")

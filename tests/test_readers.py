@@ -31,6 +31,7 @@ from concord.results.folder import Description
 from concord.runtime.network.network_file import NetworkAddresses, write_network
 from concord.runtime.recording import read_recording
 from concord.studies.sweep.store import save_arrays
+from tests.features.flexray_tools.test_signals import arxml, fibex
 from tests.house.sources import product
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,6 +96,10 @@ READERS = {
         Reader(
             "run/run.nc", lambda read, file: read(file, described(file.with_name("run.json")).setup)
         )
+    ],
+    "features.flexray_tools.commands.decoded_signals:read_described_signals": [
+        Reader("bus.xml"),
+        Reader("bus.arxml"),
     ],
     "studies.design.results:read_design": [Reader("design.json")],
     "studies.sweep.results:read_result": [Reader("sweep.nc")],
@@ -164,6 +169,8 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rest = '"unit":"m","minimise":"bytes","tried":[],"refused":[],"attempts":[],"recommended":null'
     text = "{" + fields + rest + ',"finished":true,"versions":{},"commit":null}'
     (folder / "design.json").write_text(text)
+    (folder / "bus.xml").write_text(fibex())
+    (folder / "bus.arxml").write_text(arxml())
     example = runpy.run_path(str(ROOT / "examples" / "own_log.py"))
     for write in example["WRITERS"].values():
         (folder / "columns.toml").write_text(write(folder, example["signals"](0.3)))

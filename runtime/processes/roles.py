@@ -68,8 +68,8 @@ def be_recorder(
         sys.exit(1)
 
 
-def _tell_repeats(tell: Callable[[Happened], None], repeats: int) -> None:
-    tell(Happened("repeated", count=repeats))
+def _tell_repeats(tell: Callable[[Happened], None], repeated: int) -> None:
+    tell(Happened("repeated", count=repeated))
 
 
 def be_environment(

@@ -96,7 +96,7 @@ def _window_filter(
 def _kept_steps(
     _scenario: Scenario, _window: type[WindowFilter], steps: int
 ) -> KeptSteps[FilteredPlace]:
-    """What nodes of one scenario share in one process: its model, filter and sensors are equal."""
+    """Filtered steps that nodes of one scenario share: model, filter and sensors are equal."""
     return KeptSteps(steps + _LEAD_STEPS)
 
 

@@ -16,6 +16,7 @@ from concord.bus.pcap import CapturedSymbol, write_pcap
 from concord.experiments.standard_output import plain_console
 from concord.experiments.user_errors import user_errors
 from concord.features.flexray_tools.commands.clusters import write_new
+from concord.features.flexray_tools.commands.decoded_signals import print_signals
 from concord.features.flexray_tools.commands.fit_report import fit_lines, multiplex_table
 from concord.features.flexray_tools.commands.frame_logs import (
     Columns,
@@ -101,6 +102,8 @@ def decode(
     threshold: float | None = None,
     columns: Columns = None,
     pcap: Path | None = None,
+    signals: Path | None = None,
+    description: Path | None = None,
     json: bool = False,
 ) -> None:
     """List the frames of a recorded waveform, or of a log of frames, and check every checksum.
@@ -114,10 +117,16 @@ def decode(
         threshold: Volts from which on samples of an analogue recording are high.
         columns: Columns file of a CSV log of frames.
         pcap: Capture file to write for Wireshark.
+        signals: Series of signals to write from a log of frames: .csv, .nc or .mcap.
+        description: FIBEX or AUTOSAR file that says where these signals stand.
         json: Print one JSON object.
     """
     with user_errors():
-        if is_frame_log(waveform, columns):
+        is_log = is_frame_log(waveform, columns)
+        if signals is not None or description is not None:
+            print_signals(FrameLog(waveform, columns) if is_log else None, signals, description)
+            return
+        if is_log:
             print_decoded(FrameLog(waveform, columns), pcap, json)
             return
         decoding, unreadable = read_recorded(waveform, bit_rate, column, unit, threshold)

@@ -54,12 +54,12 @@ _NAMES = tuple(
 
 def cluster_from_arxml(text: str | bytes, name: str | None = None) -> Cluster:
     """Return the FlexRay cluster of an ARXML document, as `read_cluster`."""
-    return read_cluster(_FORMAT, text, name).cluster
+    return read_cluster(ARXML_FORMAT, text, name).cluster
 
 
 def slots_from_arxml(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
     """Return the slot table of an ARXML document, as `read_slots`."""
-    return read_slots(_FORMAT, text, name)
+    return read_slots(ARXML_FORMAT, text, name)
 
 
 def cluster_to_arxml(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str:
@@ -81,7 +81,7 @@ def cluster_to_arxml(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str
             connectors = section(channel, f"{AR}COMM-CONNECTORS")
             _refer_to_connector(connectors, f"/concord/node/connector_{name}_{letter}")
         _put(channel, "CHANNEL-NAME", f"CHANNEL-{letter}")
-    stated: dict[str, object] = dict(_FORMAT.stated(cluster, "cluster", "clocks"))
+    stated: dict[str, object] = dict(ARXML_FORMAT.stated(cluster, "cluster", "clocks"))
     stated |= {"BIT": in_seconds(cluster.bit_us), "CYCLE-COUNT-MAX": cluster.number_of_cycles - 1}
     for tag, value in sorted(stated.items()):
         _put(values, tag, value)
@@ -100,7 +100,7 @@ def arxml_with_slots(
         ClusterFileError: the document describes no cluster, or several and no name.
     """
     document = parse_document(text, "ARXML")
-    _put_slots(document, find_cluster(_FORMAT, document.root, name), slots)
+    _put_slots(document, find_cluster(ARXML_FORMAT, document.root, name), slots)
     return document_text(document)
 
 
@@ -111,7 +111,7 @@ def _put_slots(document: XmlDocument, cluster: Element, slots: Sequence[MessageS
         return
     elements = _package(document.root, _SLOTS)
     latest = latest_of_nodes(
-        slots, lambda: read_cluster(_FORMAT, document_text(document), _title(cluster)).cluster
+        slots, lambda: read_cluster(ARXML_FORMAT, document_text(document), _title(cluster)).cluster
     )
     for slot in slots:
         frame = _named(elements, "FLEXRAY-FRAME", frame_name(slot))
@@ -180,7 +180,7 @@ def _add_controllers(elements: Element, cluster: Cluster) -> list[str]:
     ecu = _named(elements, "ECU-INSTANCE", "node")
     controllers, connectors = _put(ecu, "COMM-CONTROLLERS"), _put(ecu, "CONNECTORS")
     stated: dict[str, dict[str, object]] = {
-        "controller": dict(_FORMAT.stated(cluster, "controller"))
+        "controller": dict(ARXML_FORMAT.stated(cluster, "controller"))
     }
     for slot in cluster.sync_slots:
         starts = str(slot in cluster.startup_slots).lower()
@@ -281,7 +281,7 @@ def _channels(root: Element, cluster: Element, where: str = "cluster") -> list[t
     return found
 
 
-def _paths(root: Element) -> dict[str, Element]:
+def element_paths(root: Element) -> dict[str, Element]:
     """Return the elements with a SHORT-NAME by their paths, as references name them."""
     found: dict[str, Element] = {}
     waiting = [(root, "")]
@@ -297,7 +297,7 @@ def _paths(root: Element) -> dict[str, Element]:
 
 def _controllers(root: Element, cluster: Element, where: str) -> list[Element]:
     """Return the controllers whose connectors are on the channels; all where none is connected."""
-    named = _paths(root)
+    named = element_paths(root)
     connected = []
     for channel, _ in _channels(root, cluster, where):
         for reference in channel.iter(f"{AR}COMMUNICATION-CONNECTOR-REF"):
@@ -325,7 +325,7 @@ def _key_slots(controllers: Sequence[Element]) -> tuple[list[int], list[int]]:
 
 
 def _frames(root: Element) -> Callable[[Element], FoundFrame]:
-    named = _paths(root)
+    named = element_paths(root)
 
     def frame_of(triggering: Element) -> FoundFrame:
         where = f"frame triggering {_short_name(triggering)!r}"
@@ -372,7 +372,7 @@ def _turn(timing: Element, cycles: int, where: str) -> tuple[int | None, int | N
     return slot, 0, 1
 
 
-_FORMAT = Format(
+ARXML_FORMAT = Format(
     name="ARXML",
     standard="AUTOSAR",
     space=AR,
@@ -406,7 +406,7 @@ _FORMAT = Format(
     turn=_turn,
     ecu_names=lambda root: [_short_name(one) for one in root.iter(f"{AR}ECU-INSTANCE")],
 )
-WITHOUT_ELEMENT = _FORMAT.lacking()
+WITHOUT_ELEMENT = ARXML_FORMAT.lacking()
 """Fields of a cluster for which AUTOSAR has no element."""
-ARXML = ClusterFileFormat(partial(read_cluster, _FORMAT), slots_from_arxml)
+ARXML = ClusterFileFormat(partial(read_cluster, ARXML_FORMAT), slots_from_arxml)
 """The readers of AUTOSAR files."""

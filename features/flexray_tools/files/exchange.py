@@ -325,7 +325,7 @@ def _controller_fields(
     }, notes  # fmt: skip
 
 
-class _Triggering(NamedTuple):
+class Triggering(NamedTuple):
     """A frame in the slots of one channel; `sender` is the name of an ECU, "" if none is known.
     `latest` is the pLatestTx of its controller."""
 
@@ -353,8 +353,8 @@ def read_slots(form: Format, text: str | bytes, name: str | None = None) -> tupl
     """
     root = parse_document(text, form.name).root
     element = find_cluster(form, root, name)
-    channels: dict[_Triggering, set[str]] = {}
-    for one in _triggerings(form, root, element):
+    channels: dict[Triggering, set[str]] = {}
+    for one in triggerings(form, root, element):
         channels.setdefault(one._replace(channel=""), set()).add(one.channel)
     # That of the cluster is the smallest of all.
     least = _least_latest(form, root, element)
@@ -387,7 +387,12 @@ def _least_latest(form: Format, root: Element, cluster: Element) -> int | None:
     return min((value for value in values if value is not None), default=None)
 
 
-def _triggerings(form: Format, root: Element, cluster: Element) -> Iterator[_Triggering]:
+def triggerings(form: Format, root: Element, cluster: Element) -> Iterator[Triggering]:
+    """Yield the frames that are triggered on the channels of a cluster, channel by channel.
+
+    Raises:
+        ClusterFileError: a triggering lacks its frame or its slot.
+    """
     cycles = 1 + (form.read(form.values(cluster), "CYCLE-COUNT-MAX", int, "cluster") or 63)
     frame_of = form.frames(root)
     for channel, letter in form.channels(root, cluster):
@@ -405,9 +410,7 @@ def _triggerings(form: Format, root: Element, cluster: Element) -> Iterator[_Tri
                 slot, base, repetition = form.turn(timing, cycles, where)
                 if slot is None:
                     raise ClusterFileError(f"{where}: element <SLOT-ID> is missing; add it")
-                yield _Triggering(
-                    frame, slot, base or 0, repetition, letter, length, sender, latest
-                )
+                yield Triggering(frame, slot, base or 0, repetition, letter, length, sender, latest)
 
 
 def _numbers(ecus: Sequence[str]) -> dict[str, int]:

@@ -41,12 +41,12 @@ _XSI = "{http://www.w3.org/2001/XMLSchema-instance}"
 
 def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
     """Return the FlexRay cluster of a FIBEX document, as `read_cluster`."""
-    return read_cluster(_FORMAT, text, name).cluster
+    return read_cluster(FIBEX_FORMAT, text, name).cluster
 
 
 def slots_from_fibex(text: str | bytes, name: str | None = None) -> tuple[MessageSlot, ...]:
     """Return the slot table of a FIBEX document, as `read_slots`."""
-    return read_slots(_FORMAT, text, name)
+    return read_slots(FIBEX_FORMAT, text, name)
 
 
 def cluster_to_fibex(cluster: Cluster, slots: Sequence[MessageSlot] = ()) -> str:
@@ -70,7 +70,7 @@ def fibex_with_slots(
     document = parse_document(text, "FIBEX")
     root = document.root
     latest = latest_of_nodes(slots, lambda: cluster_from_fibex(text, name))
-    channels = _channels(root, find_cluster(_FORMAT, root, name))
+    channels = _channels(root, find_cluster(FIBEX_FORMAT, root, name))
     _remove_slots(root, [channel for channel, _ in channels])
     elements = section(root, f"{FX}ELEMENTS")
     frames, ecus = section(elements, f"{FX}FRAMES"), section(elements, f"{FX}ECUS")
@@ -99,7 +99,7 @@ def fibex_with_slots(
 
 def _remove_slots(root: Element, channels: Sequence[Element]) -> None:
     """Remove the triggerings of channels, and the ports of these."""
-    gone = {one.get("ID") for channel in channels for one in channel.iter(_FORMAT.triggering)}
+    gone = {one.get("ID") for channel in channels for one in channel.iter(FIBEX_FORMAT.triggering)}
     for channel in channels:
         for triggerings in channel.findall(f"{FX}FRAME-TRIGGERINGS"):
             channel.remove(triggerings)
@@ -213,7 +213,7 @@ def _cluster_text(cluster: Cluster) -> str:
 def _lines(cluster: Cluster, *parts: str) -> str:
     return "\n".join(
         f"        <flexray:{tag}>{text}</flexray:{tag}>"
-        for tag, text in _FORMAT.stated(cluster, *parts)
+        for tag, text in FIBEX_FORMAT.stated(cluster, *parts)
     )
 
 
@@ -325,7 +325,7 @@ def _turn(timing: Element, cycles: int, where: str) -> tuple[int | None, int | N
     return (slot, base, repetition or 1) if count is None else (slot, count, cycles)
 
 
-_FORMAT = Format(
+FIBEX_FORMAT = Format(
     name="FIBEX",
     standard="FIBEX",
     space=FLEXRAY,
@@ -358,7 +358,7 @@ _FORMAT = Format(
     turn=_turn,
     ecu_names=lambda root: [one.findtext(f"{HO}SHORT-NAME", "") for one in root.iter(f"{FX}ECU")],
 )
-WITHOUT_ELEMENT = _FORMAT.lacking()
+WITHOUT_ELEMENT = FIBEX_FORMAT.lacking()
 """Fields of a cluster for which FIBEX has no element."""
-FIBEX = ClusterFileFormat(partial(read_cluster, _FORMAT), slots_from_fibex)
+FIBEX = ClusterFileFormat(partial(read_cluster, FIBEX_FORMAT), slots_from_fibex)
 """The readers of FIBEX files."""

@@ -179,14 +179,13 @@ class LabelledFlooding:
         return self.choice.doubts(content.kept.held, content.near.known)
 
     def next_bytes(self, content: LabelledContent) -> int:
-        """Length of the share that `compose` would return."""
+        """Length of the next share."""
         return len(self.compose(content)[1])
 
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean (`LabelledFrameCodec.decode`)."""
         share = self.frames.decode(body)
-        checkpoint = share.checkpoint
-        if checkpoint is not None and not np.isfinite(cholesky(checkpoint.cov)[-1, -1]):
+        if (sent := share.checkpoint) and not np.isfinite(cholesky(sent.cov)[-1, -1]):
             raise Rejected("not-positive-definite")
         return share
 

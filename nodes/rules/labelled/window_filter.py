@@ -85,8 +85,8 @@ class WindowFilter:
 
     A record that cannot be used is counted; its step keeps the prediction. `silence_fits`: sources
     withhold what fits the prediction, so that no record counts as one of no surprise. `late_steps`
-    (N,): from a reading of a node to its delivery. `kept` is shared by the nodes of one process:
-    most of their windows have equal records in all but the newest steps.
+    (N,): from a reading of a node to its delivery. `kept` is shared by the nodes of one process,
+    whose windows are often equal.
     """
 
     model: Model
@@ -176,17 +176,16 @@ class WindowFilter:
         posteriors = Gaussian(*(values.copy() for values in windows.posteriors))
         surprise, entries = windows.surprise.copy(), windows.entries.copy()
         begin = np.maximum(windows.right, windows.first)
-        failures = {
-            name: np.zeros(begin.shape, dtype=np.int64)
-            for name in ("predict-failed", "update-failed")
-        }
+        names = "predict-failed", "update-failed"
+        failures = {name: np.zeros(begin.shape, dtype=np.int64) for name in names}
         for place in range(int(begin.min()), len(windows.controls)):
             runs, lanes = np.nonzero(begin <= place)
-            found = self._filtered_place(windows, posteriors, place, runs, lanes, held[runs, lanes])
-            surprise[runs, lanes, place] = found.surprise
-            entries[runs, lanes, place] = found.entries
-            for values, belief in zip(posteriors, found.belief, strict=True):
-                values[runs, lanes, place] = belief
+            found = _filtered_place(
+                self, windows, posteriors, place, runs, lanes, held[runs, lanes]
+            )
+            at = runs, lanes, place
+            surprise[at], entries[at] = found.surprise, found.entries
+            posteriors.mean[at], posteriors.cov[at] = found.belief
             for name, sound in zip(failures, (found.moved, found.updated), strict=True):
                 if not sound.all():
                     failures[name][runs, lanes] += ~sound
@@ -195,33 +194,6 @@ class WindowFilter:
             posteriors=posteriors, right=right, surprise=surprise, entries=entries
         )
         return filtered, failures
-
-    def _filtered_place(
-        self,
-        windows: Windows,
-        posteriors: Gaussian,
-        place: int,
-        runs: np.ndarray,
-        lanes: np.ndarray,
-        held: np.ndarray,
-    ) -> FilteredPlace:
-        """A place by those before it, of what lanes hold (L, W, N)."""
-
-        def compute() -> FilteredPlace:
-            belief, moved = self._carried(windows, posteriors, place, runs, lanes, held)
-            belief, updated, *told = self._updated(windows, place, runs, belief, held[:, place])
-            return FilteredPlace(belief, moved, updated, *told)
-
-        if self.kept is None or len(runs) > 1:
-            return compute()
-        is_first, control = place == windows.first, windows.controls[place]
-        before = windows.base if is_first else Gaussian(*(v[:, :, place - 1] for v in posteriors))
-        near = slice(place if is_first else place - 1, place + 1)
-        numbers = (*before, windows.values[:, near], windows.noise_covs[:, near], held[:, near])
-        key = (is_first, None if control is None else control.tobytes())
-        return self.kept.of(
-            windows.step_at(place), (*key, *(one.tobytes() for one in numbers)), compute
-        )
 
     def _carried(
         self,
@@ -308,6 +280,33 @@ class WindowFilter:
             if codec is not None and codec.rounding_cov is not None:
                 found[source, : codec.channels, : codec.channels] = codec.rounding_cov
         return found
+
+
+def _filtered_place(
+    filter: WindowFilter,
+    windows: Windows,
+    posteriors: Gaussian,
+    place: int,
+    runs: np.ndarray,
+    lanes: np.ndarray,
+    held: np.ndarray,
+) -> FilteredPlace:
+    """A place by those before it, of what lanes hold (L, W, N)."""
+
+    def compute() -> FilteredPlace:
+        belief, moved = filter._carried(windows, posteriors, place, runs, lanes, held)
+        belief, updated, *told = filter._updated(windows, place, runs, belief, held[:, place])
+        return FilteredPlace(belief, moved, updated, *told)
+
+    if filter.kept is None or len(runs) > 1:
+        return compute()
+    is_first, control = place == windows.first, windows.controls[place]
+    before = windows.base if is_first else Gaussian(*(v[:, :, place - 1] for v in posteriors))
+    near = slice(place if is_first else place - 1, place + 1)
+    numbers = (*before, windows.values[:, near], windows.noise_covs[:, near], held[:, near])
+    key = (is_first, None if control is None else control.tobytes())
+    step = windows.step_at(place)
+    return filter.kept.of(step, (*key, *(one.tobytes() for one in numbers)), compute)
 
 
 def checkpoint_of(filter: WindowFilter, base: Gaussian) -> Gaussian:

@@ -51,7 +51,7 @@ def run_recorder(
     watch: ZenohEndpoints,
     recorder: Recorder,
     steps: WholeSteps,
-    on_end: Callable[[int], None] = lambda repeats: None,
+    on_end: Callable[[int], None] = lambda repeated: None,
 ) -> None:
     """Record every message until the environment has finished and all last estimates have come.
 
@@ -70,11 +70,11 @@ def run_recorder(
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
     topics: set[str] = set()
-    repeats = 0
+    repeated = 0
     while not told.is_set() and not (finished and _complete(finished, latest, ends.silent)):
         received, is_woken = transport.receive_all("**")
         received = remembered.what_is_new(received, _ONCE_MORE)
-        repeats += sum(name.startswith(_AGAIN) for name, _ in received)
+        repeated += sum(name.startswith(_AGAIN) for name, _ in received)
         kept = list(_to_be_kept(received, steps.nodes, topics))
         recorder.record(kept)
         subscribers.tell(kept)
@@ -96,7 +96,7 @@ def run_recorder(
             ends.look()
             subscribers.look()
     recorder.close()
-    on_end(repeats)
+    on_end(repeated)
     if told.is_set():
         # The launcher process ends all others; this one has kept what it was there for.
         return

@@ -1,0 +1,1 @@
+"""Signals in frames: where a description says that they stand, and their values in a log."""
