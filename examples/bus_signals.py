@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from concord import flexray
+from concord.features.flexray_tools.api import MessageSlot, cluster_to_fibex, preset
 
 STEP_S, STEPS, NOISE = 0.02, 200, (0.05, 0.1)
 MODEL = '''"""A vehicle whose speed drifts, seen by two nodes on its bus."""
@@ -71,8 +71,8 @@ INSTANCE = """<fx:PDU-INSTANCES><fx:PDU-INSTANCE ID="of_{name}"><fx:PDU-REF ID-R
 def description() -> str:
     """Return the FIBEX document: the cluster of a car, two frames, and a signal in each."""
     sent = {"front_v": 3, "rear_v": 5}
-    slots = [flexray.MessageSlot(frame_id=one, payload_bytes=8) for one in sent.values()]
-    text = flexray.cluster_to_fibex(flexray.preset("audi"), slots)
+    slots = [MessageSlot(frame_id=one, payload_bytes=8) for one in sent.values()]
+    text = cluster_to_fibex(preset("audi"), slots)
     for name, one in sent.items():
         at = text.index("</fx:FRAME>", text.index(f'ID="frame_{one}_0_1_A"'))
         text = text[:at] + INSTANCE.format(name=name) + text[at + len("</fx:FRAME>") :]

@@ -24,6 +24,7 @@ from concord.bus.flexray.presets import preset
 from concord.bus.flexray.slot_file import read_slot_file, slots_from_toml, slots_to_toml
 from concord.bus.flexray.timing import segments
 from concord.bus.pcap import write_pcap
+from concord.features.flexray_tools.commands.decoded_signals import read_described_signals
 from concord.features.flexray_tools.files.arxml import (
     arxml_with_slots,
     cluster_from_arxml,
@@ -36,6 +37,7 @@ from concord.features.flexray_tools.files.fibex import (
     fibex_with_slots,
     slots_from_fibex,
 )
+from concord.features.flexray_tools.frame_logs.log_files import FrameLog
 from concord.features.flexray_tools.recordings.decoder import (
     DecodedFrame,
     Decoding,
@@ -56,6 +58,18 @@ from concord.features.flexray_tools.recordings.waveform import (
     WaveformError,
 )
 from concord.features.flexray_tools.response_times import FrameResponse, ResponseTimes
+from concord.features.flexray_tools.signals.coding import (
+    Coding,
+    DescribedSignals,
+    FrameSignals,
+    PlacedSignal,
+)
+from concord.features.flexray_tools.signals.signal_log import (
+    FrameSeries,
+    SignalLog,
+    signals_of_log,
+    write_signals,
+)
 from concord.features.flexray_tools.slot_design.demand import (
     Demand,
     FrameDemand,
@@ -69,21 +83,28 @@ __all__ = [
     "Captured",
     "Cluster",
     "ClusterError",
+    "Coding",
     "DecodedFrame",
     "Decoding",
     "Demand",
+    "DescribedSignals",
     "Fit",
     "Frame",
     "FrameDemand",
     "FrameError",
+    "FrameLog",
     "FrameResponse",
+    "FrameSeries",
+    "FrameSignals",
     "Inspection",
     "MessageSlot",
+    "PlacedSignal",
     "RecordedCluster",
     "RecordedSignals",
     "Request",
     "ResponseTimes",
     "ShareDemand",
+    "SignalLog",
     "SlotDesign",
     "Walk",
     "Waveform",
@@ -107,11 +128,13 @@ __all__ = [
     "preset",
     "read_cluster_file",
     "read_demand",
+    "read_described_signals",
     "read_recording",
     "read_slot_file",
     "recorded_cluster",
     "recorded_slots",
     "segments",
+    "signals_of_log",
     "slots_from_arxml",
     "slots_from_fibex",
     "slots_from_toml",
@@ -120,4 +143,5 @@ __all__ = [
     "walk",
     "worst_responses",
     "write_pcap",
+    "write_signals",
 ]

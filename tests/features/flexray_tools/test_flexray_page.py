@@ -27,7 +27,9 @@ def test_the_code_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (made.static_slots, made.static_payload_words, made.startup_slots) == (51, 17, (3, 5))
     few, best = namespace["few"], namespace["best"]
     assert best.error < few.error and few.used_slots < best.used_slots
-    assert {path.name for path in tmp_path.iterdir()} == {"bus.pcap", "car.arxml", "slots.toml"}
+    assert "[0.005 0.01 ] [20.  20.1]" in said
+    made_files = {"bus.pcap", "car.arxml", "drive.csv", "frames.csv", "slots.toml"}
+    assert {path.name for path in tmp_path.iterdir()} == made_files
 
 
 def test_the_toolbox_is_one_public_module_and_complete():
