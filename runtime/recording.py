@@ -80,7 +80,7 @@ _stamp = msgspec.json.Decoder(_Stamp)
 
 
 class McapRecorder:
-    """Keeps messages in an MCAP file; Foxglove opens it.
+    """Keeps messages in an MCAP file.
 
     Raises a `NotWritten` where the disk is full, and is closed then; what is whole stays in the
     file.

@@ -15,6 +15,15 @@ from concord.plants.recorded.log_files import open_log
 from concord.plants.recorded.units import ALIKE, UNITS
 
 Map = TypeVar("Map", bound="LogMap")
+# Programs write such a number for none: all bits of an integer, or what no sensor reads.
+_FULL_SCALE = frozenset(
+    one
+    for bits in (8, 16, 32)
+    for one in (2.0**bits - 1, 2.0 ** (bits - 1) - 1, -(2.0 ** (bits - 1)))
+)
+_HUGE = 1e30
+# The same number again and again so far from all others is no reading of a sound sensor.
+_FAR_DEVIATIONS, _FAR_SPANS = 100.0, 10.0
 
 
 class Stamps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,11 +51,13 @@ class Column(Stamps, frozen=True, forbid_unknown_fields=True):
         file: that holds them, in the folder; None for the map's.
         time: their stamps, in the same file; None for those of the file, else the map's.
         delay_s: from the instant of a reading to its stamp.
+        not_available: numbers of the series that stand for none; None for the map's.
     """
 
     file: str | None = None
     time: Stamps | None = None
     delay_s: float = 0.0
+    not_available: tuple[float, ...] | None = None
 
 
 class LogMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -55,12 +66,15 @@ class LogMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     Attributes:
         file: that holds a column which names no other.
         time: stamps of CSV columns which name no other.
+        not_available: numbers that stand for none in every series. Where None says what they are,
+            a log that seems to have such numbers is refused.
         si_units: of the quantities that can have no other unit.
     """
 
     si_units: ClassVar[Mapping[str, str]] = {}
     file: str = "drive.csv"
     time: Stamps | None = None
+    not_available: tuple[float, ...] | None = None
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -137,6 +151,8 @@ def _channel(
 ) -> tuple[ChannelReadings, list[str]]:
     """Return the channel of a column, and what was mended in it."""
     values = _in_si(file, quantity, column, default)
+    missing = _not_available(file.series(column.column), quantity, column, default)
+    values = np.where(missing, np.nan, values)
     stamps_s = file.stamps_s(column.column) if column.time is None else None
     if stamps_s is None:
         time = column.time or default.time
@@ -160,7 +176,47 @@ def _channel(
     early = int((np.diff(stamps_s[read]) < 0).sum())
     notes = [f"{repeated} equal readings of one stamp came again, and count once"] * (repeated > 0)
     sorted_by = f"{early} readings have an earlier stamp than the one before; sorted by stamps"
-    return channel, notes + [sorted_by] * (early > 0)
+    absent = f"{int(missing.sum())} readings say that there is none, and are left out"
+    return channel, notes + [sorted_by] * (early > 0) + [absent] * bool(missing.any())
+
+
+def _not_available(
+    numbers: np.ndarray, quantity: str, column: Column, default: LogMap
+) -> np.ndarray:
+    """Return where (n,) the numbers of a series stand for none.
+
+    Raises:
+        ValueError: the map does not say, and a number is there that often does.
+    """
+    said = default.not_available if column.not_available is None else column.not_available
+    if said is not None:
+        return np.isin(numbers, said)
+    finite = numbers[np.isfinite(numbers)]
+    for value in {finite.min(), finite.max()} if len(finite) else set():
+        others, count = finite[finite != value], int((finite == value).sum())
+        if _stands_for_none(float(value), others, count):
+            raise ValueError(
+                f"{column.column!r} for {quantity} is {value:.9g} in {count} of {len(finite)} "
+                f"readings, which is far from all others ({others.min():.6g} to "
+                f"{others.max():.6g}); write not_available = [{value:.9g}] in the column map if it "
+                "says that there is none, or not_available = [] if it is a reading"
+            )
+    return np.zeros(len(numbers), dtype=bool)
+
+
+def _stands_for_none(value: float, others: np.ndarray, count: int) -> bool:
+    """Say whether the largest or least number of a series, so often there, is hardly a reading."""
+    if not len(others):
+        return False
+    distance = float(np.abs(others - value).min())
+    if abs(value) >= _HUGE:
+        return distance >= _HUGE / 2
+    if np.ptp(others) == 0:
+        # Two levels: a switch, or a counter.
+        return False
+    if count > 1 and distance > _FAR_DEVIATIONS * float(np.std(others)):
+        return True
+    return value in _FULL_SCALE and distance > _FAR_SPANS * float(np.abs(others).max())
 
 
 def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.ndarray:

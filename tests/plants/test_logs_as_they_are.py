@@ -231,3 +231,45 @@ def test_time_of_a_simulation_begins_at_0(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["sim_time.py", str(ROOT)])
     runpy.run_path(str(CASES / "sim_time.py"))
     assert capsys.readouterr().out.split() == ["[0.", "0.01", "0.02", "0.03", "0.04]"]
+
+
+def column_of(numbers: list[float], folder: Path, said: str = "") -> ChannelReadings:
+    """The speed of a log with these numbers; `said` stands in the column map."""
+    rows = "".join(f"{0.01 * k:.2f},0.1,{value!r}\n" for k, value in enumerate(numbers))
+    (folder / "drive.csv").write_text(HEAD + rows)
+    known = map_from_toml(said + MAP, Rows)
+    return read_channels(folder, known.columns, known)["speed"]
+
+
+SOUND = [20.0 + 0.1 * (k % 7) for k in range(60)]
+
+
+@pytest.mark.parametrize("absent", [65535.0, -32768.0, 1e38, -1e38, 255.0, 4711.0])
+def test_a_number_that_stands_for_none_is_refused_then_left_out(
+    absent: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    numbers = [absent if k % 20 == 9 else value for k, value in enumerate(SOUND)]
+    cure = rf"in 3 of 60 readings.*write not_available = \[{absent:.9g}\] in the column map"
+    with pytest.raises(ValueError, match=cure.replace("+", r"\+")):
+        column_of(numbers, tmp_path)
+    read = column_of(numbers, tmp_path, f"not_available = [{absent!r}]\n")
+    np.testing.assert_array_equal(read.values, [v for v in numbers if v != absent])
+    assert "3 readings say that there is none, and are left out (speed)" in capsys.readouterr().err
+    # A user who knows better keeps them.
+    assert len(column_of(numbers, tmp_path, "not_available = []\n").values) == 60
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        SOUND,
+        [0.0] * 30 + [1.0] * 5,  # a brake light
+        [*SOUND, 90.0],  # one outlier
+        [float(k) for k in range(300)],  # goes through 127 and 255
+        [0.0, 255.0] * 20,  # a counter of one byte
+        [1e-3 * (-1) ** k for k in range(20)],
+    ],
+    ids=["sound", "two levels", "outlier", "ramp", "counter", "small"],
+)
+def test_readings_of_a_sound_sensor_are_all_taken(numbers: list[float], tmp_path: Path):
+    assert len(column_of(numbers, tmp_path).values) == len(numbers)
