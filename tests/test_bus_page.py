@@ -31,4 +31,4 @@ def test_signals_of_a_log_become_an_estimate_as_the_page_says(tmp_path: Path):
     (chain,) = [block for block in blocks(text, "sh") if "bus_signals" in block]
     said = [run_as_reader(command, checkout) for command in chain.splitlines()]
     assert "front_v: 4 are not valid" in said[1]
-    assert said[2].startswith("WORKS")
+    assert said[2].startswith("WORKS") and said[4].startswith("WORKS")

@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from concord.disk import writing
+from concord.experiments.first_model import first_model
 from concord.experiments.user_errors import user_errors
 
 _TEMPLATES = Path(__file__).parent.parent / "study"
@@ -20,22 +21,40 @@ def new(
     name: Annotated[
         str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME", help="Name of the new folder.")
     ],
+    from_log: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="Log (CSV, netCDF, MCAP, ULog), for its columns and a first model in the folder.",
+        ),
+    ] = None,
 ) -> None:
     """Write a folder with a plant, a rule, tests, a sweep and a figure of your own."""
     with user_errors():
         folder = _free_folder(name)
+        texts = _templates(name) if from_log is None else first_model(from_log, folder)
     # A folder under another name until it is complete.
     unfinished = folder.with_name(f".{name}.unfinished")
     try:
         with writing(folder):
             unfinished.mkdir()
-            for template in sorted(_TEMPLATES.glob(f"*{_SUFFIX}")):
-                text = template.read_text(encoding="utf-8").replace("@NAME@", name)
-                (unfinished / template.name.removesuffix(_SUFFIX)).write_text(text, "utf-8")
+            for file, text in texts.items():
+                (unfinished / file).write_text(text, "utf-8")
             unfinished.rename(folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    sys.stdout.write(f"{name}/ is written; next: cd {name} && make {_python(folder)}test\n")
+    following = f"cd {name} && make {_python(folder)}test"
+    if from_log is not None:
+        following = f"concord run --scenario {name}/model.py:SCENARIO"
+    sys.stdout.write(f"{name}/ is written; next: {following}\n")
+
+
+def _templates(name: str) -> dict[str, str]:
+    """The files of a study, by their names."""
+    return {
+        template.name.removesuffix(_SUFFIX): template.read_text("utf-8").replace("@NAME@", name)
+        for template in sorted(_TEMPLATES.glob(f"*{_SUFFIX}"))
+    }
 
 
 def _python(folder: Path) -> str:

@@ -244,9 +244,11 @@ def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.nda
             f"{one.column!r} for {quantity} is in {told} by the file, but in {unit} by the column "
             f'map; write unit = "{told}" in the map, or correct the file'
         )
-    return one.scale * UNITS[unit] * file.series(one.column) + one.offset
+    return one.scale * UNITS.get(unit, 1.0) * file.series(one.column) + one.offset
 
 
 def _units_of(quantity: str, si_units: Mapping[str, str]) -> tuple[str, ...]:
     wanted = "s" if quantity.startswith("time") else si_units.get(quantity)
-    return next((some for some in ALIKE if some[0] == wanted), tuple(UNITS))
+    # A unit that no other is alike, such as V, is a user's own.
+    alone = (wanted,) if wanted and wanted not in UNITS else tuple(UNITS)
+    return next((some for some in ALIKE if some[0] == wanted), alone)

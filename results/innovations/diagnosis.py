@@ -81,7 +81,7 @@ class _Tested(NamedTuple):
     @property
     def effect(self) -> float:
         """How far the variance is off, as a logarithm."""
-        return float(np.log(self.test.spread))
+        return _log_spread(self.test)
 
     @property
     def points_to_model(self) -> bool:
@@ -132,9 +132,14 @@ def _judged(channel: Channel, test: ChannelTest, threshold: float) -> _Tested:
         channel,
         test,
         test.p_mean < threshold and abs(test.shift) > MEAN_MARGIN,
-        test.p_spread < threshold and abs(np.log(test.spread)) > np.log(SPREAD_MARGIN),
+        test.p_spread < threshold and abs(_log_spread(test)) > np.log(SPREAD_MARGIN),
         test.p_white < threshold and abs(test.correlation) > CORRELATION_MARGIN,
     )
+
+
+def _log_spread(test: ChannelTest) -> float:
+    # That of a series that never changes is 0.
+    return float(np.log(max(test.spread, np.finfo(float).tiny)))
 
 
 def _shared(some: list[_Tested]) -> bool:

@@ -1,0 +1,196 @@
+"""The columns of a log and a first model of its series, for `concord new --from-log`.
+
+Each series is a state that drifts by itself, read by a node of its own. The noise follows from the
+differences of readings. Of a random walk with increments of variance Q, read with variance R, those
+of readings m apart have the mean square m Q + 2 R.
+
+Reason for a file of its own: it writes texts, where `concord new` writes folders.
+"""
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from concord.plants.recorded.columns import Column, LogMap, Stamps, read_channels
+from concord.plants.recorded.log_file import LogFile
+from concord.plants.recorded.log_files import open_log
+
+_MOST_SERIES = 12
+_APART = 10
+_TIMES = ("time", "t", "timestamp", "stamp", "time_s", "t_s", "secs")
+_MODEL = '''"""First model of the series in {log}: each drifts by itself.
+
+Put what you know in place of `move`, Q and R; `concord run` says what does not fit.
+"""
+
+from pathlib import Path
+
+import concord as cc
+
+STEP_S = {step_s!r}
+
+
+def move(x):
+    """Return states (..., {count}) one step later."""
+    return x
+
+
+def series(state):
+    """Return the function that reads one state."""
+    return lambda x: x[..., state : state + 1]
+
+
+PLANT = cc.OwnPlant(
+    f=move,
+    Q={q},
+    mean={mean},
+    cov={cov},
+    time_step_s=STEP_S,
+    state_names={names},
+    state_units={units},
+)
+# Standard deviation of the noise of each series, as its readings let one guess.
+NOISE = {noise}
+SENSORS = [
+    cc.OwnSensor(h=series(k), R=std**2, name=name, channels=(("value", unit),))
+    for k, (name, unit, std) in enumerate(zip(PLANT.state_names, PLANT.state_units, NOISE))
+]
+# Without a bus at first: with --bus flexray, cycles must fit into a step.
+SCENARIO = cc.own_scenario(
+    PLANT, SENSORS, readings=Path(__file__).parent, graph="path"
+).with_(bus="ideal", rule="ci")
+'''
+
+
+class _Series(NamedTuple):
+    name: str
+    column: str
+    unit: str
+    spacing_s: float
+    mean: float
+    cov: float
+    drift: float
+    noise: float
+
+
+def first_model(log: Path, folder: Path) -> dict[str, str]:
+    """Return the texts of `columns.toml` and `model.py` of a folder, by their names.
+
+    Raises:
+        ValueError: the log cannot be read, or has no series with stamps.
+    """
+    file = open_log(log)
+    time = _time_of(file)
+    found: list[_Series] = []
+    left: dict[str, str] = {}
+    for column in (name for name in file.names if time is None or name != time.column):
+        if len(found) == _MOST_SERIES:
+            left[column] = f"only {_MOST_SERIES} series are taken"
+            continue
+        try:
+            found.append(_series(file, log, column, time, [one.name for one in found]))
+        except ValueError as why:
+            left[column] = str(why)
+    if not found:
+        why = "; ".join(f"{name}: {reason}" for name, reason in left.items())
+        raise ValueError(
+            f"{log}: no series of numbers with stamps ({why[:300] or 'the file has none'}); name "
+            "the column of the stamps time"
+        )
+    step_s = float(f"{min(one.spacing_s for one in found):.4g}")
+    place = os.path.relpath(log, folder)
+    return {
+        "columns.toml": _columns(place, time, found, left),
+        "model.py": _model(place, step_s, found),
+    }
+
+
+def _time_of(file: LogFile) -> Stamps | None:
+    """The column that stamps the others, where the file does not stamp each series itself."""
+    named = next((name for name in file.names if name.lower() in _TIMES), None)
+    return None if named is None else Stamps(named, file.unit(named) or "s")
+
+
+def _series(
+    file: LogFile, log: Path, column: str, time: Stamps | None, taken: list[str]
+) -> _Series:
+    unit = file.unit(column) or ""
+
+    class OneSeries(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
+        """The map of a single series, in the unit of the file."""
+
+        si_units: ClassVar[Mapping[str, str]] = {"value": ""}
+
+    default = OneSeries(file=log.name, time=time)
+    known = {"value": Column(column=column)}
+    channel = read_channels(log.parent, known, default, {log.parent / log.name: file})["value"]
+    if len(channel.values) < 3:
+        raise ValueError(f"it has {len(channel.values)} readings")
+    size = max(float(np.abs(channel.values).max()), 1e-6)
+    least = (1e-6 * size) ** 2
+    apart = min(_APART, len(channel.values) - 1)
+    near, far = (_squared_change(channel.values, count) for count in (1, apart))
+    drift = max((far - near) / max(apart - 1, 1), least)
+    noise = max((near - drift) / 2, least)
+    return _Series(
+        _name_of(column, taken),
+        column,
+        unit,
+        channel.spacing_s,
+        float(channel.values[0]),
+        max(float(np.var(channel.values)), noise),
+        drift,
+        float(np.sqrt(noise)),
+    )
+
+
+def _squared_change(values: np.ndarray, apart: int) -> float:
+    return float(np.mean((values[apart:] - values[:-apart]) ** 2))
+
+
+def _name_of(column: str, taken: list[str]) -> str:
+    """A name of letters, digits and lines that no other series has."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", column).strip("_") or "series"
+    name = plain if plain[0].isalpha() else f"series_{plain}"
+    number = 2
+    while name in taken:
+        name, number = f"{plain}_{number}", number + 1
+    return name
+
+
+def _columns(place: str, time: Stamps | None, found: list[_Series], left: dict[str, str]) -> str:
+    lines = [f"file = {_quoted(place)}"]
+    if time is not None:
+        lines.append(f"time = {{ column = {_quoted(time.column)}, unit = {_quoted(time.unit)} }}")
+    lines.append("[channels]")
+    for one in found:
+        unit = f", unit = {_quoted(one.unit)}" if one.unit else ""
+        key = _quoted(f"{one.name} value")
+        lines.append(f"{key} = {{ column = {_quoted(one.column)}{unit} }}")
+    lines += [f"# {name}: {' '.join(why.split())}" for name, why in left.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str | None) -> str:
+    return "'" + (text or "").replace("'", "") + "'"
+
+
+def _model(place: str, step_s: float, found: list[_Series]) -> str:
+    def numbers(values: list[float]) -> str:
+        return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
+
+    return _MODEL.format(
+        log=Path(place).name,
+        step_s=step_s,
+        count=len(found),
+        q=numbers([one.drift * step_s / one.spacing_s for one in found]),
+        mean=numbers([one.mean for one in found]),
+        cov=numbers([one.cov for one in found]),
+        names=tuple(one.name for one in found),
+        units=tuple(one.unit for one in found),
+        noise=numbers([one.noise for one in found]),
+    )

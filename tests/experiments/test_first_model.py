@@ -1,0 +1,80 @@
+"""`concord new --from-log`: a log of any kind becomes a folder that runs."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from concord.experiments.first_model import first_model
+from tests.experiments.command_support import concord, refused
+
+ROOT = Path(__file__).resolve().parents[2]
+STEP_S, STEPS = 0.05, 4000
+DRIFT, NOISE = (0.1, 0.02), (0.2, 0.05)
+
+
+def walk(seed: int) -> str:
+    """A log of two series that are what the first model says."""
+    generator = np.random.default_rng(seed)
+    lines = ["time,speed [m/s],Tank level"]
+    true = 10 + np.cumsum(np.array(DRIFT) * generator.standard_normal((STEPS, 2)), axis=0)
+    read = true + np.array(NOISE) * generator.standard_normal((STEPS, 2))
+    lines += [f"{k * STEP_S:.3f},{a!r},{b!r}" for k, (a, b) in enumerate(read.tolist())]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_a_random_walk_is_found(seed: int, tmp_path: Path):
+    (tmp_path / "tank.csv").write_text(walk(seed))
+    namespace: dict = {"__file__": str(tmp_path / "model.py")}
+    texts = first_model(tmp_path / "tank.csv", tmp_path)
+    (tmp_path / "columns.toml").write_text(texts["columns.toml"])
+    exec(texts["model.py"], namespace)
+    assert namespace["STEP_S"] == STEP_S
+    # Moments of 4,000 differences: three standard errors are 7 and 18 %.
+    np.testing.assert_allclose(namespace["NOISE"], NOISE, rtol=0.07)
+    np.testing.assert_allclose(np.sqrt(namespace["PLANT"].Q), DRIFT, rtol=0.18)
+    assert namespace["PLANT"].state_names == ("speed_m_s", "Tank_level")
+
+
+@pytest.mark.parametrize("ending", ["nc", "mcap", "ulg"])
+def test_each_kind_of_log_becomes_a_folder_that_runs(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    if ending != "nc":
+        pytest.importorskip("mcap_ros2" if ending == "mcap" else "pyulog", reason="extra logs")
+    example = runpy.run_path(str(ROOT / "examples" / "own_log.py"))
+    (tmp_path / "log").mkdir()
+    example["WRITERS"][ending](tmp_path / "log", example["signals"](1.0))
+    monkeypatch.chdir(tmp_path)
+    said = concord(capsys, "new", "model", "--from-log", f"log/drive.{ending}")
+    assert said.out == (
+        "model/ is written; next: concord run --scenario model/model.py:SCENARIO\n"
+    ), said
+    run = ("run", "--scenario", "model/model.py:SCENARIO", "--out", "run")
+    assert concord(capsys, *run).code in (0, 1)
+    assert (tmp_path / "run" / "run.nc").is_file()
+
+
+def test_a_log_without_stamps_or_numbers_is_refused_and_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    for text, cure in (
+        ("speed\n1\n2\n3\n", "name the column of the stamps time"),
+        ("time,gear\n0,R\n1,D\n", "'R', which is not a number"),
+        ("", "no series of numbers"),
+    ):
+        Path("drive.csv").write_text(text)
+        assert cure in refused(concord(capsys, "new", "model", "--from-log", "drive.csv"))
+        assert not Path("model").exists()
+    assert "gone.csv" in refused(concord(capsys, "new", "model", "--from-log", "gone.csv"))
+
+
+def test_series_that_are_left_out_stand_in_the_columns(tmp_path: Path):
+    names = [f"s{k}" for k in range(15)]
+    rows = "".join(f"{k * 0.1:.1f}," + ",".join(["1.5"] * 15) + "\n" for k in range(9))
+    (tmp_path / "many.csv").write_text("time," + ",".join(names) + "\n" + rows)
+    columns = first_model(tmp_path / "many.csv", tmp_path)["columns.toml"]
+    assert columns.count("column =") == 13 and "# s12: only 12 series are taken" in columns
