@@ -1,12 +1,13 @@
 """Access to the page as plain clients try it: tokens, origins, host names, and connections that
 end before they ask."""
 
+import itertools
 import shutil
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
 from importlib.metadata import version
 from pathlib import Path
@@ -25,8 +26,11 @@ from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.serve import open_recording
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
+from tests.dashboard.browser_tab import new_tab
+from tests.dashboard.conftest import FLAGS, browser_path
 from tests.dashboard.runs import setup_of
 from tests.experiments.command_support import concord, refused
+from tests.processes import holds_within
 
 STAGE = set_stage(setup_of("oscillator", nodes=3, steps=4))
 
@@ -201,10 +205,10 @@ UPGRADE = (
 )
 
 
-@pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
-@pytest.mark.parametrize("path", ["/", "/user/ada/proxy/8080/"])
-def test_nginx_passes_the_page_on(path: str, tmp_path: Path, page: Dashboard, monkeypatch):
-    monkeypatch.setattr(page.access, "_public", {"viz.example.org"})
+@pytest.fixture
+def proxy_port(tmp_path: Path, page: Dashboard, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The port of nginx before the page, with the block of docs/security.md."""
+    monkeypatch.setattr(page.access, "_public", {NAME})
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -212,33 +216,78 @@ def test_nginx_passes_the_page_on(path: str, tmp_path: Path, page: Dashboard, mo
     config.write_text(NGINX.format(folder=tmp_path, port=port, page=place(page), upgrade=UPGRADE))
     proxy = subprocess.Popen([shutil.which("nginx") or "", "-c", str(config), "-p", str(tmp_path)])
     try:
-        token = urlsplit(page.url).query
         while True:
             try:
-                asked = HTTPConnection("127.0.0.1", port, timeout=20)
-                asked.request("GET", f"{path}?{token}", headers={"Host": "viz.example.org"})
+                socket.create_connection(("127.0.0.1", port), 20).close()
                 break
             except ConnectionRefusedError:
                 assert proxy.poll() is None
                 time.sleep(0.05)
-        answer = asked.getresponse()
-        assert answer.status == 200 and b"<html" in answer.read()
-        asked.close()
-        for origin, status in (("https://viz.example.org", 101), ("https://evil.example", 403)):
-            try:
-                with connect(
-                    f"ws://127.0.0.1:{port}{path}?{token}",
-                    origin=Origin(origin),
-                    subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
-                    max_size=None,
-                ) as through:
-                    assert len(through.recv(timeout=20)) > 0
-                assert status == 101
-            except InvalidStatus as refusal:
-                assert refusal.response.status_code == status
+        yield port
     finally:
         proxy.terminate()
         proxy.wait(20)
+
+
+NAME = "viz.example.org"
+needs_nginx = pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
+PATHS = ["/", "/user/ada/proxy/8080/"]
+# The dashboard's only time goes on from test to test.
+CLOCK_S = itertools.count(1)
+
+
+@needs_nginx
+@pytest.mark.parametrize("path", PATHS)
+def test_nginx_passes_the_page_on(path: str, page: Dashboard, proxy_port: int):
+    token = urlsplit(page.url).query
+    asked = HTTPConnection("127.0.0.1", proxy_port, timeout=20)
+    asked.request("GET", f"{path}?{token}", headers={"Host": NAME})
+    answer = asked.getresponse()
+    assert answer.status == 200 and b"<html" in answer.read()
+    asked.close()
+    for origin, status in ((f"https://{NAME}", 101), ("https://evil.example", 403)):
+        try:
+            with connect(
+                f"ws://127.0.0.1:{proxy_port}{path}?{token}",
+                origin=Origin(origin),
+                subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
+                max_size=None,
+            ) as through:
+                assert len(through.recv(timeout=20)) > 0
+            assert status == 101
+        except InvalidStatus as refusal:
+            assert refusal.response.status_code == status
+
+
+@needs_nginx
+@pytest.mark.browser
+@pytest.mark.parametrize("path", PATHS)
+def test_a_browser_shows_the_page_behind_nginx(
+    path: str, page: Dashboard, proxy_port: int, chromium
+):
+    flags = [*FLAGS, f"--host-resolver-rules=MAP {NAME} 127.0.0.1"]
+    browser = chromium.browser_type.launch(executable_path=browser_path(), args=flags)
+    try:
+        tab = new_tab(browser)
+
+        def draws(holds: Callable[[], bool]) -> bool:
+            def drawn_holds() -> bool:
+                page.tick(float(next(CLOCK_S)))
+                return holds()
+
+            return holds_within(60, drawn_holds, lambda: tab.wait_for_timeout(50))
+
+        tab.goto(f"http://{NAME}:{proxy_port}{path}?{urlsplit(page.url).query}&fixedDpr=0.5")
+        assert draws(lambda: tab.get_by_test_id("run-state").count() > 0)
+        assert draws(lambda: tab.get_by_test_id("nodes").first.locator("tr").count() > 3)
+        # A press goes back through the proxy.
+        is_playing = page.view.playing
+        tab.get_by_role(
+            "button", name="Pause" if is_playing else "Resume", exact=True
+        ).first.click()
+        assert draws(lambda: page.view.playing is not is_playing)
+    finally:
+        browser.close()
 
 
 def test_the_files_of_the_page_are_refused_without_a_token(page: Dashboard):
