@@ -26,10 +26,12 @@ from concord.dashboard.frames.stage import set_stage
 from concord.dashboard.serve import open_recording
 from concord.runtime.drivers import drive
 from concord.runtime.recording import McapRecorder
+from tests.dashboard.browser_page import row_of
 from tests.dashboard.browser_tab import new_tab
 from tests.dashboard.conftest import FLAGS, browser_path
 from tests.dashboard.runs import setup_of
 from tests.experiments.command_support import concord, refused
+from tests.pages import ROOT, blocks
 from tests.processes import holds_within
 
 STAGE = set_stage(setup_of("oscillator", nodes=3, steps=4))
@@ -194,26 +196,23 @@ http {{
   fastcgi_temp_path {folder}; uwsgi_temp_path {folder}; scgi_temp_path {folder};
   server {{
     listen 127.0.0.1:{port};
-    location / {{ proxy_pass http://{page}/; {upgrade} }}
-    location /user/ada/proxy/8080/ {{ proxy_pass http://{page}/; {upgrade} }}
+    {locations}
   }}
 }}
 """
-UPGRADE = (
-    "proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; "
-    "proxy_set_header Connection upgrade; proxy_read_timeout 1h;"
-)
 
 
 @pytest.fixture
 def proxy_port(tmp_path: Path, page: Dashboard, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """The port of nginx before the page, with the block of docs/security.md."""
+    """The port of nginx before the page, with the blocks of docs/security.md."""
     monkeypatch.setattr(page.access, "_public", {NAME})
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     config = tmp_path / "nginx.conf"
-    config.write_text(NGINX.format(folder=tmp_path, port=port, page=place(page), upgrade=UPGRADE))
+    locations = "\n".join(blocks((ROOT / "docs" / "security.md").read_text("utf-8"), "nginx"))
+    locations = locations.replace("127.0.0.1:8080", place(page))
+    config.write_text(NGINX.format(folder=tmp_path, port=port, locations=locations))
     proxy = subprocess.Popen([shutil.which("nginx") or "", "-c", str(config), "-p", str(tmp_path)])
     try:
         while True:
@@ -281,11 +280,10 @@ def test_a_browser_shows_the_page_behind_nginx(
         assert draws(lambda: tab.get_by_test_id("run-state").count() > 0)
         assert draws(lambda: tab.get_by_test_id("nodes").first.locator("tr").count() > 3)
         # A press goes back through the proxy.
-        is_playing = page.view.playing
-        tab.get_by_role(
-            "button", name="Pause" if is_playing else "Resume", exact=True
-        ).first.click()
-        assert draws(lambda: page.view.playing is not is_playing)
+        row = tab.locator(row_of(PATHS.index(path)))
+        assert "background" not in (row.get_attribute("style") or "")
+        row.click()
+        assert draws(lambda: "background" in (row.get_attribute("style") or ""))
     finally:
         browser.close()
 
