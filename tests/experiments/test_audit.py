@@ -432,7 +432,7 @@ def test_a_sound_run_computed_again_is_equal(tmp_path: Path):
 
 
 def test_a_run_is_compared_up_to_the_first_death(tmp_path: Path):
-    """What is recorded of later steps is no difference, however many there are."""
+    """Messages of later steps are no differences, however many there are."""
     first = place("measured/0", step=5)
     gone = ("event", encode(Event(5, Gone(1))))
     found = computed_again(write(tmp_path, [*MESSAGES[:first], gone, *MESSAGES[first:]]))
