@@ -96,7 +96,8 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         to_wire(belief.mean),
         to_wire(pack_upper(belief.cov)),
         ages.tolist(),
-        state.counters,
+        # By name: which was counted first depends on the clock in a process that joins late.
+        dict(sorted(state.counters.items())),
         *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
         suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
         absent=tuple(sorted(state.absent)),

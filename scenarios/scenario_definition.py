@@ -145,6 +145,7 @@ class ScenarioDefinition(NamedTuple):
             send no share and own no slot.
         late_steps: after how many steps the sensor of each node delivers a reading, for rules that
             filter a window; empty where all deliver at once.
+        irregular: why readings are no fixed function of states and normals; "" where they are one.
         outside: (scenario, states (..., n)) -> for which states (...) the model does not hold, by
             the reason; None for a model that always does.
         results, page: "module:MEMBER" of what results (`RunExtras`) and the page (`OwnPage`) know
@@ -174,6 +175,7 @@ class ScenarioDefinition(NamedTuple):
     reference_cov: Callable[[Scenario], np.ndarray | float] = lambda _: 0.0
     without_data: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
     late_steps: Callable[[Scenario], tuple[int, ...]] = lambda _: ()
+    irregular: Callable[[Scenario], str] = lambda _: ""
     outside: Callable[[Scenario, np.ndarray], dict[str, np.ndarray]] | None = None
     results: str = ""
     page: str = ""

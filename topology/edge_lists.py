@@ -6,6 +6,7 @@ hears node j, 1 where none is given.
 
 import ast
 import csv
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,11 @@ from concord.topology.read_graph import Kind, ReadGraph, from_edges, plain_names
 
 # A matrix as text has a character per pair of nodes at least.
 MOST_MATRIX_NODES = 5000
-_MOST_MARKET_NODES = 1_000_000
+_MOST_MARKET = 1_000_000
+_MARKET = re.compile(
+    r"%%matrixmarket +matrix +(coordinate|array) +(real|(?:unsigned-)?integer|pattern) +"
+    r"(general|symmetric) *"
+)
 
 # Names of columns in the header rows of Gephi, pandas, igraph and others.
 _SENDERS = ("source", "from", "sender", "fromnodeid", "node1", "src", "u")
@@ -80,15 +85,10 @@ def read_market(file: Path) -> ReadGraph:
     Raises:
         ValueError: naming file, entry and cure.
     """
-    from scipy.io import mmread  # only here: few files are of this form
-
     try:
-        _check_market(file)
-        found = mmread(file)
-    except (ValueError, TypeError, OverflowError, NotImplementedError) as error:
-        why = " ".join(str(error).split())
-        raise ValueError(f"{file}: not Matrix Market ({why}); export the matrix again") from error
-    given = csr_array(found)
+        given = _market_matrix(file.read_text(encoding="utf-8", errors="replace"))
+    except ValueError as error:
+        raise ValueError(f"{file}: not Matrix Market ({error}); export the matrix again") from None
     height, width = nodes_of(given), nodes_of(given.T)
     if height != width:
         raise ValueError(
@@ -108,31 +108,40 @@ def read_market(file: Path) -> ReadGraph:
     return ReadGraph(csr_array(given, dtype=float), names, Kind.MATRIX)
 
 
-def _check_market(file: Path) -> None:
-    """Refuse entries outside of the matrix, on which the reader of scipy crashes the process.
+def _market_matrix(text: str) -> csr_array:
+    """Return the matrix of a file; the reader of scipy ends the process on some damaged ones.
 
     Raises:
-        ValueError: naming the line.
+        ValueError: naming what is wrong.
     """
-    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
-    if not lines or "coordinate" not in lines[0].lower():
-        return
-    told = [
-        (number, line.split())
-        for number, line in enumerate(lines, 1)
-        if line.strip() and not line.startswith("%")
-    ]
-    if not told:
-        raise ValueError("it has no line of sizes")
-    (_, sizes), *entries = told
-    height, width, count = map(int, sizes)
-    if count != len(entries) or max(height, width) > _MOST_MARKET_NODES:
-        raise ValueError(
-            f"{count} entries of {height} x {width} are told, {len(entries)} are there"
-        )
-    for number, (i, j, *_) in entries:
-        if not (1 <= int(i) <= height and 1 <= int(j) <= width):
-            raise ValueError(f"line {number}: entry ({i}, {j}) is outside of the matrix")
+    head, *lines = text.splitlines() or [""]
+    if (found := _MARKET.fullmatch(head.lower())) is None:
+        raise ValueError(f"its first line is {head[:80]!r}")
+    form, field, symmetry = found.groups()
+    is_array, is_symmetric = form == "array", symmetry == "symmetric"
+    sizes, *rows = [line for line in lines if line.strip() and line[0] != "%"] or [""]
+    height, width, *told = map(int, sizes.split())
+    if len(told) + is_array != 1 or min(height, width) < 0 or max(height, width) > _MOST_MARKET:
+        raise ValueError(f"its sizes are {sizes[:80]!r}")
+    count = told[0] if told else height * (height + 1) // 2 if is_symmetric else height * width
+    if count != len(rows) or (is_symmetric and height != width):
+        raise ValueError(f"{height} x {width} nodes, {count} entries; {len(rows)} are there")
+    entries = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, 3))
+    if is_array:  # Column by column; of a symmetric matrix from the diagonal downwards.
+        j, i = np.triu_indices(width, 0 if is_symmetric else -width, height)
+        values = entries.ravel()
+    else:
+        i, j = entries[:, :2].T - 1
+        values = np.ones(count) if field == "pattern" else entries[:, 2:].ravel()
+    within = (i >= 0) & (i < height) & (j >= 0) & (j < width) & (i % 1 + j % 1 == 0)
+    for row in np.flatnonzero(~within):
+        raise ValueError(f"entry {rows[row][:80]!r} is outside of the matrix")
+    if values.size != count:
+        raise ValueError(f"its entries have {entries.shape[1]} numbers")
+    if is_symmetric:
+        below = i != j
+        i, j, values = np.r_[i, j[below]], np.r_[j, i[below]], np.r_[values, values[below]]
+    return csr_array((values, (i.astype(int), j.astype(int))), shape=(height, width))
 
 
 def write_edge_list(file: Path, network: Network) -> None:

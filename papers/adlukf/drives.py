@@ -147,6 +147,6 @@ def _drive(seeds: int, job: tuple[str, str, int]) -> Elsewhere:
     results = {n: score(study, estimate(study, CONTESTANTS[n]).mean) for n in _FILTERS}
     return Elsewhere(
         f"{true_car.name}, {manoeuvre.replace('-', ' ')}",
-        {n: np.array([ratio(results, n, 0, s) for s in _STATES]) for n in _FILTERS},
-        {n: np.array([over_ckf(results, n, 0, s) for s in _STATES]) for n in _FILTERS},
+        {n: np.array([ratio(results, n, 0, s).value for s in _STATES]) for n in _FILTERS},
+        {n: np.array([over_ckf(results, n, 0, s).value for s in _STATES]) for n in _FILTERS},
     )

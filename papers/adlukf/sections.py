@@ -38,7 +38,7 @@ from concord.papers.adlukf.study import (
 )
 from concord.papers.kit.judging import Check, above, agrees, at_most, below, near
 from concord.papers.kit.report import Section, markdown_table
-from concord.results.figures.intervals import mean_t, positive_mean_t
+from concord.results.figures.intervals import Interval, mean_t, positive_mean_t, ratio_t
 
 SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "MCUKF", "ADLUKF printed", "DLUKF")
 COMPARED = ("CKF", "FAUKF", "ADLUKF")
@@ -190,7 +190,9 @@ def sensitivity(results: ScoresByFilter) -> Section:
     for (m, title), state, name in product(enumerate(MANOEUVRES), states, filters):
         ends = [each_seed(results[name], "rmse", state, case)[m] for case in ("0.01 I", "2 I")]
         what = f"{title}, {name}, {state} [{unit_of(state)}]"
-        rows.append([what, *map(with_interval, ends), f"{ratio(results, name, m, state):.2f}"])
+        rows.append(
+            [what, *map(with_interval, ends), f"{ratio(results, name, m, state).value:.2f}"]
+        )
     checks: list[Check] = []
     for (m, title), state in product(enumerate(MANOEUVRES), ("v_x", "yaw rate")):
         words = f"RMSE(2 I) / RMSE(0.01 I) of {state}, {title}"
@@ -259,7 +261,7 @@ average NEES is 3, the number of states; above, it is overconfident.
         agrees(f"average NEES of {words} on matched data", positive_mean_t(of), len(of), 3.0)
         for words, of in ((words, nees[name]) for name, words in named.items())
     ]
-    own = float(nees["DLUKF"].mean())
+    own = positive_mean_t(nees["DLUKF"])
     checks.append(above("average NEES of the dual layer of the paper", own, 3.3))
     return Section(70, "Consistency: the dual layer counts every reading twice", text, checks)
 
@@ -311,7 +313,7 @@ def ablations(results: ScoresByFilter, ukf_minus_ckf: Mapping[str, float]) -> Se
     over = table(
         {name: f"{name}: {words}" for name, words in _ABLATIONS.items()},
         "RMSE over the CKF's at the true R",
-        lambda name, m, state: over_ckf(results, name, m, state),
+        lambda name, m, state: over_ckf(results, name, m, state).value,
     )
     changed = table(
         {name: name for name in ("CKF", *_ABLATIONS)}, "RMSE over that at the true R", change
@@ -356,7 +358,7 @@ def better_model(
     checks = [
         at_most(
             f"side slip of the CKF with fitted tyres over that without, {title}",
-            after[m].mean() / before[m].mean(),
+            ratio_t(after[m] ** 2, before[m] ** 2),
             0.8,
         )
         for m, title in enumerate(MANOEUVRES)
@@ -483,14 +485,14 @@ def in_plain_words(
     """Return the verdict. Each sentence that judges has its checks below."""
     every = range(len(MANOEUVRES))
 
-    def worst(name: str, case: str, state: str) -> float:
+    def worst(name: str, case: str, state: str) -> Interval:
         return max(over_ckf(results, name, m, state, case) for m in every)
 
     def span(name: str, case: str) -> str:
-        return slashed(worst(name, case, state) for state in JUDGED)
+        return slashed(worst(name, case, state).value for state in JUDGED)
 
     with_layer, without = (
-        max(ratio(results, name, m, "v_x") for m in every) for name in ("ADLUKF", "AUKF")
+        max(ratio(results, name, m, "v_x").value for m in every) for name in ("ADLUKF", "AUKF")
     )
     lines = [
         f"With the right R the ADLUKF does not win: {span('ADLUKF', 'true R')} times the CKF's "

@@ -32,6 +32,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.filters.moments import Model
 from concord.papers.adlukf.filters import CONTESTANTS, Contestant, StepInput
+from concord.results.figures.intervals import Interval, ratio_t
 
 DRIVEN = ("double-lane-change", "serpentine")
 MANOEUVRES = tuple(name.replace("-", " ") for name in DRIVEN)
@@ -275,22 +276,18 @@ def each_seed(scores: ErrorScores, measure: str, state: str, case: str = "true R
     return values[:, list(CASES).index(case), :, STATES.index(state)]
 
 
-def ratio(results: ScoresByFilter, name: str, manoeuvre: int, state: str) -> float:
+def ratio(results: ScoresByFilter, name: str, manoeuvre: int, state: str) -> Interval:
     """RMSE with R0 = 2 I over RMSE with R0 = 0.01 I, pooled over the seeds."""
     high, low = (each_seed(results[name], "rmse", state, case) for case in ("2 I", "0.01 I"))
-    return _pooled(high[manoeuvre], low[manoeuvre])
+    return ratio_t(high[manoeuvre] ** 2, low[manoeuvre] ** 2)
 
 
 def over_ckf(
     results: ScoresByFilter, name: str, manoeuvre: int, state: str, case: str = "true R"
-) -> float:
+) -> Interval:
     """RMSE of a filter over the CKF's in the same case, pooled over the seeds."""
     ours, reference = (each_seed(results[n], "rmse", state, case) for n in (name, "CKF"))
-    return _pooled(ours[manoeuvre], reference[manoeuvre])
-
-
-def _pooled(ours: np.ndarray, reference: np.ndarray) -> float:
-    return float(np.sqrt((ours**2).mean() / (reference**2).mean()))
+    return ratio_t(ours[manoeuvre] ** 2, reference[manoeuvre] ** 2)
 
 
 # --- consistency, on data that obey the filters' model exactly -----------------------------------

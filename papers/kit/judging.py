@@ -46,28 +46,43 @@ class Check(msgspec.Struct, frozen=True):
         return "undecided" if self.undecided else "holds" if self.ok else "fails"
 
 
-def near(name: str, measured: float, expected: float, tolerance: float, unit: str = "") -> Check:
-    """|measured - expected| <= tolerance; a measured NaN fails."""
+def near(
+    name: str, measured: Interval | float, expected: float, tolerance: float, unit: str = ""
+) -> Check:
+    """|measured - expected| <= tolerance; undecided where an end of it is in the interval."""
     words = f"{expected:g} ± {tolerance:g} {unit}".rstrip()
-    return Check(name, words, float(measured), bool(abs(measured - expected) <= tolerance))
+    return _in_band(name, words, measured, -tolerance, tolerance, middle=expected)
 
 
-def at_most(name: str, measured: float, bound: float, unit: str = "") -> Check:
-    """measured <= bound."""
-    words = f"at most {bound:.10g} {unit}".rstrip()
-    return Check(name, words, float(measured), bool(measured <= bound))
+def at_most(name: str, measured: Interval | float, bound: float, unit: str = "") -> Check:
+    """measured <= bound; undecided where the bound lies in the interval."""
+    return _in_band(name, f"at most {bound:.10g} {unit}".rstrip(), measured, most=bound)
 
 
-def above(name: str, measured: float, bound: float, unit: str = "") -> Check:
-    """measured > bound."""
-    return Check(name, f"above {bound:g} {unit}".rstrip(), float(measured), bool(measured > bound))
+def above(name: str, measured: Interval | float, bound: float, unit: str = "") -> Check:
+    """measured > bound; undecided where the bound lies in the interval."""
+    least = float(np.nextafter(bound, np.inf))
+    return _in_band(name, f"above {bound:g} {unit}".rstrip(), measured, least)
 
 
 def below(name: str, measured: Interval | float, bound: float, unit: str = "") -> Check:
     """measured < bound; undecided where the bound lies in the interval."""
-    value, low, high = measured if isinstance(measured, Interval) else (measured,) * 3
-    words = f"below {bound:g} {unit}".rstrip()
-    ok, undecided = bool(high < bound), bool(low < bound <= high)
+    most = float(np.nextafter(bound, -np.inf))
+    return _in_band(name, f"below {bound:g} {unit}".rstrip(), measured, most=most)
+
+
+def _in_band(
+    name: str, words: str, measured: Interval | float, least: float = -np.inf,
+    most: float = np.inf, middle: float = 0.0,
+) -> Check:  # fmt: skip
+    """The whole interval, less the middle, lies in [least, most]; NaN fails, and one run decides
+    nothing."""
+    is_interval = isinstance(measured, Interval)
+    value, low, high = measured if is_interval else (measured,) * 3
+    if is_interval and not np.isnan(value):
+        low, high = (-np.inf if np.isnan(low) else low), (np.inf if np.isnan(high) else high)
+    ok = bool(least <= low - middle and high - middle <= most)
+    undecided = not ok and bool(low - middle <= most and high - middle >= least)
     return Check(name, words, float(value), ok or undecided, undecided)
 
 

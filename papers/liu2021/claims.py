@@ -80,7 +80,7 @@ def claims(evidence: NamedFigures) -> list[Claim]:
         Claim("(5), Tables II, III", "winners by the change since the last transmission",
             [needs(e.agreeing, at_least=len(e.winners))],
             f"by (5) the winners are {winners}; the tables' winners come from Q y^2, without the "
-            f"held value; with them and (20) {wrong.outside} of {wrong.instants} ellipsoids miss "
+            f"held value. With them and (20) {wrong.outside} of {wrong.instants} ellipsoids miss "
             f"the state, and none is left for {wrong.contradicted}", test="print against print"),
     ]  # fmt: skip
 

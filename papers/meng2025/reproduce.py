@@ -153,7 +153,7 @@ def _ablation(batch: MeasuredBatch, reference: SlotEstimates, first: EstimatorRo
         cells.append((f"Cramer-Rao bound, {label}", *(f"{one:.3f}" for one in of_states), *blank))
     text = _ABLATION + "\n" + markdown_table(_HEAD, cells)
     least = next(iter(bounds.values())).mean(axis=0).sum()
-    checks = [above("recommended: MSE against the Cramer-Rao bound", first.mse.value, least)]
+    checks = [above("recommended: MSE against the Cramer-Rao bound", first.mse, least)]
     data = {one.name: msgspec.to_builtins(one) for one in found}
     return Section(6, "One erratum at a time", text, checks, data={"rows": data})
 

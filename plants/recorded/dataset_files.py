@@ -1,18 +1,16 @@
 """Logs in netCDF files, as xarray writes them."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from concord.plants.recorded.log_file import LogFile
+from concord.plants.recorded.netcdf import open_netcdf
 
 if TYPE_CHECKING:
     import xarray
 
-# A file may claim numbers that it does not hold; compressed series are seldom a hundredth.
-_MOST_BYTES, _MOST_EXPANDED = 100_000_000, 1000
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -34,7 +32,7 @@ class DatasetFile(LogFile):
         if isinstance(file, xarray.Dataset):
             self._variables = file.variables
         else:
-            self._variables = _loaded(file)
+            self._variables = open_netcdf(file, whole=True, decode_timedelta=False).variables
         self.names = tuple(
             str(name)
             for name, variable in self._variables.items()
@@ -58,16 +56,3 @@ class DatasetFile(LogFile):
         dated = coordinate.dtype.kind == "M"
         factor = 1.0 if dated else _TIME_UNITS.get(coordinate.attrs.get("units", ""))
         return None if factor is None else factor * self.series(str(dimension))
-
-
-def _loaded(file: Path) -> "Mapping[Any, xarray.Variable]":
-    import xarray  # as above
-
-    try:
-        with xarray.open_dataset(file, engine="h5netcdf", decode_timedelta=False) as opened:
-            if opened.nbytes > max(_MOST_BYTES, _MOST_EXPANDED * file.stat().st_size):
-                raise ValueError(f"it claims {opened.nbytes} bytes")
-            return opened.load().variables
-    except Exception as error:  # HDF5, h5py and xarray raise what they meet in broken files
-        why = str(error).partition("\n")[0] or type(error).__name__
-        raise ValueError(f"{file}: cannot be read as netCDF ({why[:200]})") from None

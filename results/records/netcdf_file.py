@@ -4,24 +4,19 @@ HDF5 crashes the process that closes a file of which a full disk has not taken a
 HDF5 2.0). So it writes into memory.
 """
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from concord.disk import whole_file
+from concord.plants.recorded.netcdf import open_netcdf
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
-
-
-# A file may claim arrays that it does not hold; compressed ones are seldom a hundredth.
-_MOST_BYTES, _MOST_EXPANDED = 100_000_000, 1000
 
 
 def state_coordinates(setup: Setup, steps: int) -> dict[str, Any]:
@@ -66,12 +61,7 @@ def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Datas
     Raises:
         ValueError: the file cannot be read, or lacks a variable; the message ends with `remedy`.
     """
-    import xarray
-
-    with _readable(path, remedy), xarray.open_dataset(path, engine="h5netcdf") as opened:
-        if opened.nbytes > max(_MOST_BYTES, _MOST_EXPANDED * path.stat().st_size):
-            raise ValueError(f"it claims {opened.nbytes} bytes")
-        dataset = opened.load()
+    dataset = _opened(path, remedy, whole=True)
     lacking = [name for name in names if name not in dataset.variables]
     if lacking:
         raise ValueError(f"{path}: has no variable {', '.join(lacking)}; {remedy}")
@@ -84,28 +74,11 @@ def open_dataset(path: Path, remedy: str) -> "xarray.Dataset":
     Raises:
         ValueError: the file cannot be read; the message ends with `remedy`.
     """
-    import xarray
-
-    with _readable(path, remedy):
-        return xarray.open_dataset(path, engine="h5netcdf")
+    return _opened(path, remedy, whole=False)
 
 
-@contextmanager
-def _readable(path: Path, remedy: str) -> Iterator[None]:
-    """Turn the errors of reading a file into one that names it."""
-    import h5py
-
+def _opened(path: Path, remedy: str, whole: bool) -> "xarray.Dataset":
     try:
-        # h5netcdf's file, when it cannot be opened, raises once more as Python collects it.
-        with h5py.File(path, "r") as file:
-            dict(file.attrs)
-        yield
-    except Exception as error:
-        # HDF5, h5py, h5netcdf and xarray each raise errors of their own at a damaged byte.
-        raise ValueError(
-            f"{path}: cannot be read as netCDF ({_first_line(error)}); {remedy}"
-        ) from None
-
-
-def _first_line(error: Exception) -> str:
-    return shorten(str(error) or type(error).__name__, 200, placeholder=" ...")
+        return open_netcdf(path, whole)
+    except ValueError as error:
+        raise ValueError(f"{error}; {remedy}") from None

@@ -80,6 +80,7 @@ def own_scenario(
         model=lambda _: plant,
         sensor=lambda scenario, node: own.truth(scenario.nodes).sensor(node),
         late_steps=own.late_steps,
+        irregular=lambda scenario: own.truth(scenario.nodes).irregular,
         all_steps=None if log is None else lambda _: log.steps,
         score=own_score(plant.units, scored_states, first_scored_step),
         radio_range_m=radio_range_m,

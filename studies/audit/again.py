@@ -107,7 +107,10 @@ def computed_again(folder: Path) -> Again:
         drive(setup, recorder, on_step, script)
     computed = _by_step(setup, recorder.messages)
     recorded = _by_step(setup, messages)
-    differences = list(_differences(computed, recorded, last))
+    differences = [
+        *_unplaced(recorded, setup.scenario.steps),
+        *_differences(computed, recorded, last),
+    ]
     compared = sum(len(one) for k in range(last) for one in computed.get(k, {}).values())
     return Again(compared, last, tuple(differences), ends)
 
@@ -165,16 +168,19 @@ def _by_step(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> _Steps:
     return found
 
 
-def _differences(computed: _Steps, recorded: _Steps, steps: int) -> Iterator[str]:
-    """Yield where the recorded messages of the first steps are not those that were computed."""
+def _unplaced(recorded: _Steps, steps: int) -> Iterator[str]:
+    """Yield the messages that belong to none of so many steps."""
     for topic, strange in sorted(recorded.get(_UNPLACED, {}).items()):
         yield f"{topic[:60]}: {len(strange)} messages of no step"
+    for step in sorted(recorded.keys() - {_UNPLACED} - set(range(steps))):
+        yield f"step {step}: the run has no such step"
+
+
+def _differences(computed: _Steps, recorded: _Steps, steps: int) -> Iterator[str]:
+    """Yield where the recorded messages of the first steps are not those that were computed."""
     empty = [step for step in range(steps) if step not in recorded]
     if empty:
         yield f"steps {empty[0]} to {empty[-1]}: nothing is recorded of {len(empty)} steps"
-    for step in sorted(recorded.keys() - {_UNPLACED} - set(range(steps))):
-        if step >= len(computed):
-            yield f"step {step}: the run has no such step"
     for step in range(steps):
         ours, theirs = computed.get(step, {}), recorded.get(step, {})
         for topic in sorted({*ours, *theirs}) if theirs else ():

@@ -220,7 +220,7 @@ def _refuse(scenario: Scenario) -> None:
         raise NotExact("--changes with --exact: the network must stay as it is; use runs")
     if definition.wirings or definition.delivery or any(definition.late_steps(scenario)):
         raise NotExact(f"{name} --exact: its readings do not come to the nodes at once; use runs")
-    if reason := getattr(definition.plant(scenario), "irregular", ""):
+    if reason := definition.irregular(scenario):
         raise NotExact(f"{name} --exact: {reason}; use runs")
     if scenario.filter.name not in KALMAN_FILTERS:
         raise NotExact(

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.experiments.cli.command_line import main
+from concord.nodes.changes import Event, Gone
 from concord.nodes.history import history_of
 from concord.nodes.messages import Timing, encode
 from concord.results.folder import describe, write_description
@@ -428,6 +429,15 @@ def test_a_sound_run_computed_again_is_equal(tmp_path: Path):
     found = computed_again(write(tmp_path, MESSAGES))
     assert (found.differences, found.ends, found.steps) == ((), "", 12)
     assert found.messages == len(MESSAGES)
+
+
+def test_a_run_is_compared_up_to_the_first_death(tmp_path: Path):
+    """Messages of later steps are no differences, however many there are."""
+    first = place("measured/0", step=5)
+    gone = ("event", encode(Event(5, Gone(1))))
+    found = computed_again(write(tmp_path, [*MESSAGES[:first], gone, *MESSAGES[first:]]))
+    assert (found.differences, found.steps) == ((), 5)
+    assert found.ends == "node 1 died in step 5"
 
 
 def test_each_damage_is_one_line_in_the_order_of_the_run(tmp_path: Path):

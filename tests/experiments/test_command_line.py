@@ -319,3 +319,25 @@ def test_a_disk_that_takes_no_output_is_named(arguments: list[str]):
     assert done.returncode == 1
     assert done.stderr.startswith("concord: standard output cannot be written (No space left")
     assert done.stderr.count("\n") == 1
+
+
+# An interruption falls into a callback, which cannot raise it, and the command goes on to wait.
+LOST = """
+import time
+from concord.experiments.cli import command_line
+class Callback:
+    def __del__(self):
+        raise KeyboardInterrupt
+def command() -> None:
+    Callback()
+    time.sleep(60)
+command_line._command = lambda words: (command, 1)
+command_line.main(["work"])
+"""
+
+
+def test_a_ctrl_c_that_falls_into_a_callback_is_not_lost():
+    done = subprocess.run(
+        [sys.executable, "-c", LOST], capture_output=True, text=True, timeout=50, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")

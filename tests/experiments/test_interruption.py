@@ -7,6 +7,7 @@ import json
 import os
 import random
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -231,6 +232,22 @@ def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
         assert out == ""
         assert run.gone_at_once()
     assert check_folder(tmp_path / "run") > 0
+
+
+@pytest.mark.parametrize("how", ["removed", "moved"])
+def test_a_run_whose_folder_goes_ends_and_says_so(tmp_path: Path, how: str):
+    with family(run_command("processes", 3000), tmp_path) as run:
+        run.await_line("oscillator: ")
+        if how == "removed":
+            shutil.rmtree(tmp_path / "run")
+        else:
+            (tmp_path / "run").rename(tmp_path / "elsewhere")
+        # The launcher looks once a second.
+        code, out, err = run.end(run.at_once_s + 2)
+        assert (code, out) == (1, "")
+        assert "run.mcap was removed or moved while the run went on" in err
+        assert "Traceback" not in err
+        assert run.gone_at_once()
 
 
 def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):

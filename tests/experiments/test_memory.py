@@ -1,6 +1,7 @@
 """Memory is estimated before a start, and the estimate is that of the arrays of a run."""
 
 import re
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from concord.scenarios.catalogue import definitions
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario_options import scenario_of
 from concord.studies import memory
-from concord.studies.memory import check_memory, check_workers, needed_bytes
+from concord.studies.memory import check_files, check_memory, check_workers, needed_bytes
 from concord.studies.monte_carlo.simulate import simulate
 from tests.experiments.command_support import concord, refused
 
@@ -111,3 +112,14 @@ def test_the_estimate_holds_the_histories_and_little_more(rule: str):
 
 def _arrays(histories: Runs) -> list[np.ndarray]:
     return [value for value in histories if isinstance(value, np.ndarray)]
+
+
+def test_a_network_that_may_open_too_few_files_is_refused(monkeypatch: pytest.MonkeyPatch):
+    limits = {}
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (24, limits["hard"]))
+    limits["hard"] = 32
+    check_files("processes", 4)
+    with pytest.raises(ValueError, match=r"may open 32 files, and a network of 16 nodes needs 44"):
+        check_files("processes", 16)
+    limits["hard"] = resource.RLIM_INFINITY
+    check_files("processes", 1000)

@@ -115,6 +115,51 @@ def test_a_trusted_folder_may_run_its_code(
     assert command("plot", str(attacked), "--trust", str(attacked / "none")) == 2
 
 
+OWN_PLANT = """
+import pathlib
+import numpy as np
+import concord as cc
+pathlib.Path({marker!r}).touch()
+def move(x):
+    return x @ np.array([[1, -0.1], [0.1, 0.9]])
+plant = cc.OwnPlant(
+    f=move, Q=[1e-3, 1e-3], mean=[1, 0], cov=[1, 1], time_step_s=0.1,
+    state_names=("swing", "swing rate"), state_units=("rad", "rad/s"),
+)
+OWN = cc.own_scenario(plant, [cc.OwnSensor(h=lambda x: x[..., :1], R=0.1), None], nodes=4)
+"""
+
+
+def test_an_own_plant_of_another_user_has_the_owners_words_where_it_is_trusted(
+    tmp_path: Path, marker: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(trusting, "_trusted", [])
+    own, folder, received = (tmp_path / name for name in ("own.py", "run", "received"))
+    own.write_text(OWN_PLANT.format(marker=str(marker)))
+    asked = ("--scenario", f"{own}:OWN", "--steps", "12", "--driver", "in-process")
+    assert command("run", *asked, "--out", str(folder)) in (0, 1)
+    assert command("report", str(folder), "--out", str(tmp_path / "owner.md")) == 0
+    shutil.copytree(folder, received)
+    own.unlink()
+    (tmp_path / "state" / "concord" / "own_files").unlink()
+    monkeypatch.setattr(trusting, "_known", set())
+    marker.unlink()
+    for reader in ("plot", "report", "collect", "replay", "audit"):
+        assert command(reader, str(received)) == 2
+        assert "names the code of" in capsys.readouterr().err
+    assert not marker.exists()
+    words = ("--out", str(tmp_path / "other.md"), "--trust", str(received))
+    assert command("report", str(received), *words) == 0
+    # All but the pictures and the settings, which name the owner's file.
+    owner, other = (
+        [line for line in (tmp_path / name).read_text().splitlines() if line[:1] not in ("!", " ")]
+        for name in ("owner.md", "other.md")
+    )
+    assert any("rad" in line for line in owner)
+    assert [one for one in zip(owner, other, strict=True) if one[0] != one[1]] == []
+
+
 def test_code_of_own_runs_is_known_to_later_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

@@ -20,6 +20,7 @@ from concord.nodes.messages import (
     NodeEvent,
     ShareHeard,
     ShareSent,
+    encode,
 )
 from concord.nodes.node import (
     NodeConfig,
@@ -42,6 +43,17 @@ from tests.nodes.one_node import (
     middle_node,
     share,
 )
+
+
+def test_the_bytes_of_an_estimate_keep_no_order_of_arrival():
+    """A node that joins late may hear before it sends, or send before it hears."""
+    config = middle_node()
+    begun, *others = clean_events(config)
+    first, last = (
+        feed(config, events)[1] for events in ([begun, *others], [others[0], begun, *others[1:]])
+    )
+    said = [[encode(m) for m in sent if isinstance(m, Estimate)] for sent in (first, last)]
+    assert said[0] == said[1] and len(said[0]) == STEPS
 
 
 @pytest.mark.parametrize("name", SCHEDULES)

@@ -80,6 +80,23 @@ def test_checks_hold_up_to_their_bounds():
     assert below("x", Interval(1.3, 1.1, 1.5), 1.0).outcome == "fails"
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "outcomes"),
+    [
+        (1.1, 1.2, ("holds", "holds", "fails")),
+        (0.9, 1.2, ("holds", "undecided", "undecided")),
+        (0.7, 0.9, ("undecided", "fails", "holds")),
+        (0.4, 0.7, ("fails", "fails", "holds")),
+        # One run has no interval.
+        (NAN, NAN, ("undecided", "undecided", "undecided")),
+    ],
+)
+def test_a_band_is_judged_by_the_interval_of_the_runs(low: float, high: float, outcomes: tuple):
+    measured = Interval(1.0, low, high)
+    checks = near("x", measured, 1.0, 0.2), above("x", measured, 1.0), at_most("x", measured, 1.0)
+    assert tuple(check.outcome for check in checks) == outcomes
+
+
 def test_nan_passes_no_check():
     checks = (
         near("x", NAN, 1.0, 1e9),

@@ -7,6 +7,7 @@ where no step goes on.
 import threading
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -19,6 +20,8 @@ from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.processes import republisher as said
 from concord.runtime.processes.environment import inbox
 from concord.runtime.processes.environment import process as environment_process
+from concord.runtime.processes.environment.decisions import Deserted
+from concord.runtime.processes.environment.gathering import await_processes
 from concord.runtime.processes.environment.notices import Hello, Presence, RecorderCaughtUp
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
 from concord.runtime.processes.environment.process import EnvironmentProcess, Management
@@ -26,6 +29,39 @@ from concord.runtime.processes.environment.timetable import Beat
 from concord.runtime.processes.job import NodeEnded
 from concord.scenarios.build import build_environment
 from tests.experiments.support import small
+
+
+class Meeting:
+    """A transport on which processes come at some calls, and others never."""
+
+    def __init__(self, comes: dict[int, str]) -> None:
+        self.calls, self.lacking, self._comes = 0, ["1", "2"], comes
+
+    def await_present(self, names: Sequence[str], seconds: float) -> bool:
+        self.calls += 1
+        if self.calls in self._comes:
+            self.lacking.remove(self._comes[self.calls])
+        return not self.lacking
+
+    def missing(self, names: Sequence[str]) -> list[str]:
+        return self.lacking
+
+
+def test_a_node_that_cannot_be_met_is_given_a_minute_and_named(capsys):
+    network: Any = Meeting({})
+    with pytest.raises(Deserted, match=r"node 1, node 2 cannot be met.* for 60 s.*concord doctor"):
+        await_processes(network, ["1", "2"], 60.0)
+    # Each call waits for 10 s, and the first tells how many lack.
+    assert network.calls == 6
+    assert capsys.readouterr().err.count("waits for node 1, node 2") == 5
+
+
+def test_each_further_process_begins_the_minute_anew():
+    network: Any = Meeting({4: "1"})
+    with pytest.raises(Deserted, match=r"node 2 cannot be met.* for 60 s"):
+        await_processes(network, ["1", "2"], 60.0)
+    assert network.calls == 4 + 6
+    await_processes(Meeting({3: "1", 8: "2"}), ["1", "2"], 60.0)  # type: ignore[arg-type]
 
 
 class Wire:

@@ -11,6 +11,7 @@ import concord as cc
 from concord.filters.gaussian import Gaussian
 from concord.runtime.batched.build import build_network
 from concord.runtime.batched.driver import run
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import hold_of
@@ -18,6 +19,7 @@ from concord.studies.exact.averaged_errors import propagate as averaged
 from concord.studies.exact.averaged_rules import RULES
 from concord.studies.exact.network import exact_network, linear_network
 from concord.studies.exact.results import Exact, exact_of
+from concord.studies.monte_carlo.simulate import simulate
 
 STEPS = 9
 HELD = {"schedule": "round-robin", "occupancy": 0.25}
@@ -170,6 +172,21 @@ def test_patterns_are_those_of_the_runs():
     alone = cc.exact(scenario.with_(run=2), patterns=1)
     assert deviation(together.errors[2], alone.errors[0]) < 1e-12
     assert together.rmse.low < together.rmse.value < together.rmse.high
+
+
+@pytest.mark.slow
+def test_runs_with_losses_differ_by_noise_alone_from_what_their_patterns_give():
+    """In pairs of one pattern, since the errors of one step and node over patterns are skewed."""
+    scenario, count = case(loss=0.3, nodes=5, steps=12, rounds=1), 400
+    setup = prepare(scenario)
+    exact = exact_of(setup, range(count))
+    runs = simulate(exact_network(setup).setup, range(count), keep=())
+    states = list(definition_of(scenario).score.states)
+    errors = (runs.mean - runs.truth[:, :, None])[..., states]
+    rest = (errors**2).sum(-1) - exact.squares
+    z = rest.mean(0) / (rest.std(0, ddof=1) / np.sqrt(count))
+    assert np.abs(z).max() < 4
+    assert 0.5 < np.sqrt((z**2).mean()) < 1.5
 
 
 def test_a_steady_period_repeats_and_the_worst_phase_is_told():
