@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from concord.disk import whole_file
-from concord.plants.recorded.netcdf import open_netcdf
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 
@@ -78,6 +77,9 @@ def open_dataset(path: Path, remedy: str) -> "xarray.Dataset":
 
 
 def _opened(path: Path, remedy: str, whole: bool) -> "xarray.Dataset":
+    # Only here: most programs write such files, and read none.
+    from concord.plants.recorded.netcdf import open_netcdf
+
     try:
         return open_netcdf(path, whole)
     except ValueError as error:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 from concord.nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
 from concord.nodes.command_checks import check_command
 from concord.nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart, Scripted
-from concord.nodes.run_controller import link_changes
 
 
 class ScriptedChange(NamedTuple):
@@ -84,6 +83,9 @@ def _stands(
             past = (step - standing.first_step) * int(standing.settings.get("rounds", rounds))
             return after(standing, step, Set(wanted, standing.first_cycle + past))
         case _:
+            # Only here: most scripts cut no link, and a controller loads the environment.
+            from concord.nodes.run_controller import link_changes
+
             for change in link_changes(command, neighbours, standing):
                 standing = after(standing, step, change)
             return standing

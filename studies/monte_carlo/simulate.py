@@ -19,7 +19,6 @@ from concord.results.records.extras import Past, RunExtra, RunExtras, run_extras
 from concord.results.records.runs import Runs, joined, runs_of_trace
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.batched.driver import Instant, run
-from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import beside_truth, scored_nees
 from concord.scenarios.innovations import Innovations, InnovationsByStep
 from concord.scenarios.preparation import setup_of_run
@@ -324,6 +323,7 @@ def _by_messages(
     """The runs one after the other, message by message."""
     # Only here: runs as arrays pass no messages.
     from concord.results.records.trace import read_trace
+    from concord.runtime.drivers import in_memory
 
     for done, run_number in enumerate(runs, 1):
         own = setup_of_run(setup, run_number)
