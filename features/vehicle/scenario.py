@@ -229,7 +229,7 @@ def _explain(setup: Setup, beliefs: Gaussian, counted: np.ndarray) -> Explanatio
     data = vehicle_of(setup.scenario).data
     if data is None:
         return Explanation()
-    cure = f"`concord identify --data {data}` fits the car's model to the log"
+    cure = f"`concord identify-car --data {data}` fits the car's model to the log"
     if len(counted) > 1 or not counted.any():
         return Explanation(cure)
     # Only here: a node does not explain its run.

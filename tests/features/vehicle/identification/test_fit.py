@@ -49,7 +49,7 @@ def identified(tmp_path_factory) -> Identified:
     with pytest.MonkeyPatch.context() as patch:
         written: list[str] = []
         patch.setattr("sys.stdout.write", written.append)
-        main(["identify", "--data", str(folder), "--out", str(folder / "found.toml"), "--json"])
+        main(["identify-car", "--data", str(folder), "--out", str(folder / "found.toml"), "--json"])
     text = "".join(written)
     return Identified(json.loads(text), car_from_toml((folder / "found.toml").read_text()), text)
 
