@@ -1,9 +1,9 @@
 """Scenarios whose filters believe in other noise, delays and parameters, each by its name."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,11 +85,22 @@ def _groups(cov: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
 def _factors(table: str, names: Sequence[str], values: Mapping[str, Any]) -> np.ndarray:
     """The factors (..., m) of so many entries, for values that are numbers or arrays (...)."""
     each = [np.asarray(values.get(f"{table}.{name}", 1.0), dtype=float) for name in names]
-    return np.stack(np.broadcast_arrays(*each), axis=-1)
+    return np.stack(np.broadcast_arrays(*each), axis=-1) if each else np.ones(1)
 
 
 def _scaled(cov: np.ndarray, factors: np.ndarray) -> np.ndarray:
     return cov * factors[..., :, None] * factors[..., None, :]
+
+
+def _by_lanes(each: Sequence[tuple[Callable[..., Any], Any]], states: np.ndarray) -> np.ndarray:
+    """The values (..., lanes, m) of states (..., lanes, n), by the function of each lane."""
+    if len(each) == 1:
+        return each[0][0](states)
+    found = [(function(states[..., lanes, :]), lanes) for function, lanes in each]
+    values = np.empty((*states.shape[:-1], found[0][0].shape[-1]))
+    for some, lanes in found:
+        values[..., lanes, :] = some
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +122,8 @@ class BelievedModel:
 
     def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., n), or (..., lanes, n) of several models, one step later."""
-        if len(self.inner) == 1:
-            return self.inner[0][0].transition(state, control, step)
-        moved = np.empty(state.shape)
-        for model, lanes in self.inner:
-            driven = None if control is None else control[lanes]
-            moved[..., lanes, :] = model.transition(state[..., lanes, :], driven, step)
-        return moved
+        each = [(partial(one.transition, control=control, step=step), at) for one, at in self.inner]
+        return _by_lanes(each, state)
 
     def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (n, n) or (lanes, n, n) that a step adds."""
@@ -149,12 +155,7 @@ class BelievedSensor:
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Readings (..., m) of states (..., n), or with lanes as `BelievedModel.transition`."""
-        if len(self.inner) == 1:
-            return self.inner[0][0].measure(state, step)
-        read = np.empty((*state.shape[:-1], len(self.kinds)))
-        for sensor, lanes in self.inner:
-            read[..., lanes, :] = sensor.measure(state[..., lanes, :], step)
-        return read
+        return _by_lanes([(partial(one.measure, step=step), at) for one, at in self.inner], state)
 
     def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """The difference of two readings (..., m)."""
@@ -164,11 +165,6 @@ class BelievedSensor:
         """Value (..., m) and noise covariance (..., m, m) of a delivered reading (..., d)."""
         value, cov = self.inner[0][0].interpret(delivered)
         return value, _scaled(cov, self.factors)
-
-
-@lru_cache(maxsize=4)
-def _delayed(plant: Any, steps: tuple[tuple[int, ...], ...]) -> Any:
-    return plant.delayed(steps)
 
 
 def believed(definition: ScenarioDefinition, values: Mapping[str, Any]) -> ScenarioDefinition:
@@ -215,10 +211,14 @@ def believed(definition: ScenarioDefinition, values: Mapping[str, Any]) -> Scena
         inner = ((definition.sensors(scenario), Ellipsis),)
         return BelievedSensor(inner, _factors(R, kinds, values), kinds)
 
+    @lru_cache(maxsize=4)
     def plant(scenario: Scenario) -> Any:
-        kinds, whole = checked(scenario).kinds, definition.plant(scenario)
-        steps = tuple(tuple(_late(values, kind, whole.time_step_s) for kind in of) for of in kinds)
-        return _delayed(whole, steps) if any(map(any, steps)) else whole
+        whole: Any = definition.plant(scenario)
+        late_s = [
+            [values.get(f"{DELAY}.{one}", 0.0) for one in of] for of in checked(scenario).kinds
+        ]
+        steps = [[round(one / whole.time_step_s) for one in of] for of in late_s]
+        return whole.delayed(steps) if any(map(any, steps)) else whole
 
     has_theta = any(name.startswith(f"{THETA}.") for name in values)
     return definition._replace(
@@ -227,7 +227,3 @@ def believed(definition: ScenarioDefinition, values: Mapping[str, Any]) -> Scena
         sensors=None if definition.sensors is None or has_theta else sensors,
         plant=plant,
     )
-
-
-def _late(values: Mapping[str, Any], kind: str, time_step_s: float) -> int:
-    return round(values.get(f"{DELAY}.{kind}", 0.0) / time_step_s)

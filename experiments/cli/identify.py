@@ -84,8 +84,8 @@ def _table(result: Identification) -> Table:
     for heading in ("before", "found", "95 %"):
         grid.add_column(heading, justify="right", no_wrap=True)
     for one in result.found:
-        known = (f"{one.value:.4g}", f"{one.low:.4g} to {one.high:.4g}") if one.told else ("-", "-")
-        grid.add_row(one.name, f"{one.before:.4g}", *known)
+        found = f"{one.value:.4g}" if one.told else "-"
+        grid.add_row(one.name, f"{one.before:.4g}", found, result.interval(one) or "-")
     return grid
 
 

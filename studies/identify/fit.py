@@ -44,29 +44,20 @@ class SoughtValue(NamedTuple):
         return not self.name.startswith(f"{THETA}.")
 
     @property
-    def _in_logarithms(self) -> bool:
-        return self.low > 0
-
-    @property
-    def range(self) -> float:
-        """From the least to the greatest, in the coordinate of the fit."""
-        return float(np.log(self.high / self.low)) if self.low > 0 else 1.0
-
-    @property
     def spread(self) -> float:
-        """Standard deviation of the prior."""
-        return _SPREAD if self.is_noise else self.range
+        """Standard deviation of the prior: for a parameter, all that its bounds leave."""
+        whole = float(np.log(self.high / self.low)) if self.low > 0 else 1.0
+        return _SPREAD if self.is_noise else whole
 
     @property
     def untold(self) -> float:
-        """Standard deviation from which the log tells nothing: 95 % are the whole range."""
-        return _UNTOLD if self.is_noise else self.range / 3.92
+        """Standard deviation from which the log tells nothing: 95 % are all that bounds leave."""
+        return _UNTOLD if self.is_noise else self.spread / 3.92
 
     def value(self, at: np.ndarray | float) -> np.ndarray:
         """The values (...) at coordinates (...)."""
-        if self._in_logarithms:
-            return np.clip(self.start * np.exp(at), self.low, self.high)
-        return np.clip(self.start + at * (self.high - self.low), self.low, self.high)
+        moved = at * (self.high - self.low) + self.start
+        return np.clip(self.start * np.exp(at) if self.low > 0 else moved, self.low, self.high)
 
 
 class FoundValue(NamedTuple):
@@ -81,15 +72,8 @@ class FoundValue(NamedTuple):
     told: bool
 
 
-class LikeliestValues(NamedTuple):
-    """The values that were found, and whether the fit came to its end."""
-
-    found: tuple[FoundValue, ...]
-    ended: bool
-
-
-class Fitter:
-    """The fit of some values to a log; `best` has the likeliest so far."""
+class ValueFit:
+    """The fit of some values and delays to a log, from a start by name."""
 
     def __init__(
         self,
@@ -99,23 +83,20 @@ class Fitter:
         start: Mapping[str, float],
         on_steps: Callable[[int], None],
     ) -> None:
-        self._sought, self._delays, self._start = list(sought), list(delays), dict(start)
-        kinds = {name.partition(".")[2] for name in delays}
-        self._farthest = min(_FARTHEST, log.steps // 10)
-        ends = max((abs(self._steps_of(name, log)) for name in delays), default=0)
-        self._log = log.without_ends(kinds, self._farthest + ends) if delays else log
-        self._whole, self._on_steps = self._log, on_steps
-        self._at = np.zeros(len(sought))
+        self._sought, self._start, self._on_steps = sought, dict(start), on_steps
+        self._step_s, self._farthest = log.setup.time_step_s, min(_FARTHEST, log.steps // 10)
+        if delays:
+            ends = max(abs(round(start.get(name, 0.0) / self._step_s)) for name in delays)
+            kinds = {name.partition(".")[2] for name in delays}
+            log = log.without_ends(kinds, self._farthest + ends)
+        self._whole = self._log = log
+        self._at, self._free = np.zeros(len(sought)), np.ones(len(sought), dtype=bool)
         self._moved = dict.fromkeys(delays, 0)
-        self._free = np.ones(len(sought), dtype=bool)
+        self._within = dict.fromkeys(delays, (-self._farthest, self._farthest))
         self._here: InnovationLikelihood | None = None
-        self._within: dict[str, tuple[int, int]] = {}
 
-    def _steps_of(self, name: str, log: HeardReadings) -> int:
-        return round(self._start.get(name, 0.0) / log.setup.time_step_s)
-
-    def run(self) -> LikeliestValues:
-        """LikeliestValues; an interrupt ends it with the best so far."""
+    def run(self) -> bool:
+        """Fit, and return whether it came to its end; an interrupt leaves the best so far."""
         try:
             if self._whole.steps > 2 * COARSE_STEPS:
                 self._log = self._whole.cut(COARSE_STEPS)
@@ -124,72 +105,86 @@ class Fitter:
             self._settle()
             self._leave_untold()
         except KeyboardInterrupt:
-            return LikeliestValues(self._found(), False)
-        return LikeliestValues(self._found(), True)
+            return False
+        return True
+
+    def found(self) -> tuple[FoundValue, ...]:
+        """All values with their intervals."""
+        found, quantile = [], float(t.ppf(0.975, BLOCKS - 1))
+        std = self._std() if self._here is not None else np.full(len(self._at), np.inf)
+        for one, at, wide, free in zip(self._sought, self._at, std, self._free, strict=True):
+            if not free or not np.isfinite(wide):
+                found.append(FoundValue(one.name, one.start, one.start, one.low, one.high, False))
+                continue
+            reach = quantile * wide
+            low, value, high = (float(one.value(x)) for x in (at - reach, at, at + reach))
+            if wide > one.untold:  # its start was refused by the likelihood itself
+                low, high = (low, min(high, one.start)) if at < 0 else (max(low, one.start), high)
+                low = 0.0 if one.is_noise and at < 0 else low
+            found.append(FoundValue(one.name, one.start, value, low, high, True))
+        for name, (first, last) in self._within.items():
+            start, told = self._start.get(name, 0.0), last - first < self._farthest
+            low, high = (start + self._step_s * step for step in (first - 0.5, last + 0.5))
+            value = start + self._step_s * self._moved[name] * told
+            found.append(FoundValue(name, start, value, low, high, told))
+        return tuple(found)
 
     def _settle(self) -> None:
-        """LikeliestValues values and delays in turn, until no delay moves."""
+        """Fit values and delays in turn, until no delay moves."""
         self._fit()
         for _ in range(4):
-            if not any([self._move(name) for name in self._delays]):
+            if not any([self._move(name) for name in self._moved]):
                 return
             self._fit()
 
-    def _values(self, at: np.ndarray, moved: Mapping[str, Any]) -> dict[str, np.ndarray | float]:
-        """All values at coordinates (..., p)."""
-        step_s = self._log.setup.time_step_s
-        found: dict[str, np.ndarray | float] = dict(self._start)
+    def _likelihood(
+        self, at: np.ndarray, moved: Mapping[str, Any] = {}, slopes: bool = False
+    ) -> InnovationLikelihood:
+        """The likelihood at coordinates (p,) or (lanes, p), and delays of so many steps."""
+        values: dict[str, Any] = dict(self._start)
         for place, one in enumerate(self._sought):
-            found[one.name] = one.value(at[..., place])
-        for name, steps in moved.items():
-            found[name] = self._start.get(name, 0.0) + steps * step_s
-        return found
+            values[one.name] = one.value(at[..., place])
+        for name, steps in {**self._moved, **moved}.items():
+            values[name] = self._start.get(name, 0.0) + steps * self._step_s
+        lanes = max([1, *(np.size(one) for one in values.values())])
+        return likelihood(self._log, values, lanes, self._on_steps, slopes)
 
-    def _pass(self, at: np.ndarray) -> InnovationLikelihood:
-        """The likelihood with slopes by the free coordinates, prior included in none."""
-        free = np.flatnonzero(self._free)
-        lanes = np.tile(at, (1 + len(free), 1))
-        lanes[1 + np.arange(len(free)), free] += DIFFERENCE
-        return likelihood(self._log, self._values(lanes, self._moved), len(lanes), self._on_steps)
-
-    def _prior(self) -> np.ndarray:
-        spreads = [one.spread for one in self._sought]
-        return 1 / np.square(np.array(spreads)[self._free])
+    def _curvature(self, here: InnovationLikelihood) -> tuple[np.ndarray, np.ndarray]:
+        """Precision of the prior (p,) of the free coordinates, and curvature (p, p) with it."""
+        prior = 1 / np.square([one.spread for one in self._sought])[self._free]
+        return prior, here.information + np.diag(prior)
 
     def _fit(self) -> None:
-        """LikeliestValues the free coordinates with delays as they are."""
-        free, prior = self._free, self._prior()
-        passes: dict[bytes, InnovationLikelihood] = {}
+        """Fit the free coordinates with delays as they are."""
+        free, passes = np.flatnonzero(self._free), {}
 
         def there(part: np.ndarray) -> InnovationLikelihood:
             key = part.tobytes()
             if key not in passes:
-                at = self._at.copy()
-                at[free] = part
-                passes[key] = self._pass(at)
+                lanes = np.tile(self._at, (1 + len(free), 1))
+                lanes[:, free] = part
+                lanes[1 + np.arange(len(free)), free] += DIFFERENCE
+                passes[key] = self._likelihood(lanes, slopes=True)
             return passes[key]
 
         def cost(part: np.ndarray) -> tuple[float, np.ndarray]:
             found = there(part)
+            prior, _ = self._curvature(found)
             value = found.value + 0.5 * float(prior @ part**2)
             return min(value, 1e300), np.nan_to_num(found.slopes + prior * part)
-
-        def curvature(part: np.ndarray) -> np.ndarray:
-            return there(part).information + np.diag(prior)
 
         def stop_near(part: np.ndarray) -> None:
             self._at[free], self._here = part, there(part)
             slopes = cost(part)[1]
-            if slopes @ np.linalg.solve(curvature(part), slopes) < _ENOUGH:
+            if slopes @ np.linalg.solve(self._curvature(self._here)[1], slopes) < _ENOUGH:
                 raise StopIteration
 
-        start = self._at[free]
-        self._here = there(start)
-        if len(start):
-            options = {"maxiter": MOST_PASSES, "initial_trust_radius": 1.0, "max_trust_radius": 4.0}
+        self._here = there(self._at[free])
+        if len(free):
             minimize(
-                cost, start, jac=True, hess=curvature, method="trust-exact",
-                callback=stop_near, options=options,
+                cost, self._at[free], jac=True, hess=lambda part: self._curvature(there(part))[1],
+                method="trust-exact", callback=stop_near,
+                options={"maxiter": MOST_PASSES, "max_trust_radius": 4.0},
             )  # fmt: skip
 
     def _move(self, name: str) -> bool:
@@ -198,7 +193,10 @@ class Fitter:
         while True:
             here = self._moved[name]
             tried = [here, *(here + by for by in _REACH if abs(here + by) <= self._farthest)]
-            known |= self._with_delays(name, [steps for steps in tried if steps not in known])
+            fresh = [steps for steps in tried if steps not in known]
+            if fresh:
+                values = self._likelihood(self._at, {name: np.array(fresh)}).lanes.tolist()
+                known |= dict(zip(fresh, values, strict=True))
             self._moved[name] = min(tried, key=lambda steps: (known[steps], abs(steps)))
             if self._moved[name] == here:
                 break
@@ -206,27 +204,13 @@ class Fitter:
         self._within[name] = min(likely), max(likely)
         return here != before
 
-    def _with_delays(self, name: str, tried: Sequence[int]) -> dict[int, float]:
-        """The likelihood of each number of steps of a delay, as lanes."""
-        if not tried:
-            return {}
-        values = self._values(self._at, {**self._moved, name: np.array(tried)})
-        found = likelihood(self._log, values, len(tried), self._on_steps, slopes=False)
-        return dict(zip(tried, found.lanes.tolist(), strict=True))
-
-    def _covs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance (p, p) of the free coordinates: as the information has it with the prior, and
-        as the scatter of the scores has it."""
-        assert self._here is not None, "there was a pass"
-        inverse = np.linalg.inv(self._here.information + np.diag(self._prior()))
-        return inverse, inverse @ self._here.scatter @ inverse
-
     def _std(self) -> np.ndarray:
-        """Standard deviations (p,) of all coordinates, the larger of both ways; 0 of fixed ones."""
-        std = np.zeros(len(self._sought))
-        if self._free.any():
-            each = [np.sqrt(np.diagonal(cov)) for cov in self._covs()]
-            std[self._free] = np.maximum(*each)
+        """Standard deviations (p,) of all coordinates, the larger of those by the information and
+        by the scatter of the scores; 0 of fixed ones."""
+        assert self._here is not None, "there was a pass"
+        inverse, std = np.linalg.inv(self._curvature(self._here)[1]), np.zeros(len(self._sought))
+        each = (inverse, inverse @ self._here.scatter @ inverse)
+        std[self._free] = np.sqrt(np.maximum(*(np.diagonal(cov) for cov in each)))
         return std
 
     def _leave_untold(self) -> None:
@@ -235,13 +219,19 @@ class Fitter:
         A value that is far from its start in likelihood is told, however wide its interval is.
         """
         left = False
-        while self._free.any():
+        while True:
             wide = self._std() / [one.untold for one in self._sought]
             order = [place for place in np.argsort(-wide) if wide[place] > 1]
-            doubtful = [place for place in order if self._free[place] and self._may_be_start(place)]
-            if not doubtful:
+            doubtful = next((place for place in order if self._may_be_start(place)), None)
+            if doubtful is None:
                 break
-            self._free[doubtful[0]], self._at[doubtful[0]], left = False, 0.0, True
+            kept = np.flatnonzero(self._free) != doubtful
+            assert self._here is not None, "there was a pass"
+            several = [
+                values[kept][:, kept] for values in (self._here.information, self._here.scatter)
+            ]
+            self._here = self._here._replace(information=several[0], scatter=several[1])
+            self._free[doubtful], self._at[doubtful], left = False, 0.0, True
             self._fit()
         if left:
             self._settle()
@@ -250,37 +240,9 @@ class Fitter:
         """Whether the start is likely too, with the others where the curvature puts them."""
         assert self._here is not None, "there was a pass"
         free = np.flatnonzero(self._free)
-        own, others = free == place, free != place
-        curvature = self._here.information + np.diag(self._prior())
-        at, change = self._at.copy(), -self._at[place]
+        others, curvature = free != place, self._curvature(self._here)[1]
+        at = self._at.copy()
+        cross = curvature[others][:, ~others][:, 0] * at[place]
+        at[free[others]] += np.linalg.solve(curvature[others][:, others], cross)
         at[place] = 0.0
-        if others.any():
-            cross = curvature[np.ix_(others, own)][:, 0]
-            at[free[others]] -= np.linalg.solve(curvature[np.ix_(others, others)], cross) * change
-        values = self._values(at, self._moved)
-        there = likelihood(self._log, values, 1, self._on_steps, slopes=False).value
-        return there - self._here.value < _LIKELY
-
-    def _found(self) -> tuple[FoundValue, ...]:
-        """All values with their intervals."""
-        found, step_s = [], self._log.setup.time_step_s
-        quantile = float(t.ppf(0.975, BLOCKS - 1))
-        std = self._std() if self._here is not None else np.full(len(self._at), np.inf)
-        for place, one in enumerate(self._sought):
-            at, wide = self._at[place], quantile * std[place]
-            if not self._free[place] or not np.isfinite(wide):
-                found.append(FoundValue(one.name, one.start, one.start, one.low, one.high, False))
-                continue
-            low, value, high = (float(one.value(x)) for x in (at - wide, at, at + wide))
-            low = 0.0 if one.is_noise and std[place] > one.untold else low
-            found.append(FoundValue(one.name, one.start, value, low, high, True))
-        for name, steps in self._moved.items():
-            start = self._start.get(name, 0.0)
-            ends = self._within.get(name, (-self._farthest, self._farthest))
-            low, high = (
-                start + (end + half) * step_s for end, half in zip(ends, (-0.5, 0.5), strict=True)
-            )
-            told = ends[1] - ends[0] < self._farthest
-            value = start + (steps if told else 0) * step_s
-            found.append(FoundValue(name, start, value, low, high, told))
-        return tuple(found)
+        return self._likelihood(at).value - self._here.value < _LIKELY

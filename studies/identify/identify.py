@@ -24,10 +24,12 @@ from concord.scenarios.types.identified_values import (
     values_in,
     word_of,
 )
-from concord.studies.identify.fit import MOST_PASSES, Fitter, FoundValue, SoughtValue
+from concord.studies.identify.fit import MOST_PASSES, FoundValue, SoughtValue, ValueFit
 from concord.studies.identify.readings import HeardReadings, readings_of
 
 _FACTORS = (1e-4, 1e4)
+JUDGED_STEPS = 20_000
+"""Of a longer log the verdict judges so many of the first steps."""
 
 
 class Judgement(msgspec.Struct, frozen=True):
@@ -64,16 +66,18 @@ class Identification(msgspec.Struct, frozen=True):
         """The values in one word, for the option `identified` of a scenario."""
         return word_of(self.values)
 
+    def interval(self, one: FoundValue) -> str:
+        """The interval of a value in words; empty where it was not told, and after an interrupt."""
+        return f"{one.low:.4g} to {one.high:.4g}" if one.told and self.ended else ""
+
     def write(self, file: Path) -> None:
         """Write the file that `--identified` takes.
 
         Raises:
             ValueError: it cannot be written.
         """
-        notes = {
-            one.name: f"{one.low:.4g} to {one.high:.4g}" if one.told else "the log does not tell it"
-            for one in self.found
-        }
+        untold = "the log does not tell it"
+        notes = {one.name: self.interval(one) if one.told else untold for one in self.found}
         with writing(file):
             file.write_text(in_toml(self.values, notes), encoding="utf-8")
 
@@ -108,12 +112,15 @@ def identify(
     delays = [one for one in names if one.startswith(f"{DELAY}.")]
     sought = [_sought(log, name, start) for name in names if name not in delays]
     before = judged(log, scenario)
-    fit = Fitter(log, sought, delays, start, on_steps).run()
-    values = start | {one.name: one.value for one in fit.found if one.told}
+    fit = ValueFit(log, sought, delays, start, on_steps)
+    ended = fit.run()
+    found = fit.found()
+    values = start | {one.name: one.value for one in found if one.told}
     told = scenario.with_(identified=word_of(values))
-    after = judged(log, told) if fit.ended else None
+    after = judged(log, told) if ended else None
     on_step(most, most)
-    return Identification(fit.found, values, before, after, log.updates, fit.ended)
+    updates = int(np.isfinite(log.values).sum())
+    return Identification(found, values, before, after, updates, ended)
 
 
 def _sought(log: HeardReadings, name: str, start: dict[str, float]) -> SoughtValue:
@@ -127,13 +134,13 @@ def _sought(log: HeardReadings, name: str, start: dict[str, float]) -> SoughtVal
 
 def judged(log: HeardReadings, scenario: Scenario) -> Judgement:
     """The verdict on the readings by the filter that hears everything, as a scenario believes."""
+    log = log.cut(JUDGED_STEPS)
     setup = msgspec.structs.replace(
         log.setup, scenario=scenario.with_(filter="ukf", identified=scenario.identified)
     )
     moves = log.moves(values_in(scenario.identified))
     values = earlier(log.values, moves.tolist())[None]
-    control = None if log.control is None else log.control[None]
-    heard = innovations_of_all(setup, [scenario.run], values, control)
+    heard = innovations_of_all(setup, [scenario.run], values, None)
     assert heard is not None, "readings_of has looked"
     score = definition_of(scenario).score
     counted = np.arange(log.steps)[None] >= min(score.first_step, log.steps // 2)

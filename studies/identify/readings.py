@@ -1,7 +1,7 @@
 """The readings that `concord identify` judges, and the filter that hears them all."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -35,14 +35,12 @@ class HeardReadings:
         setup: of the scenario as it is, with plain unscented filters.
         known: the names of what can be sought.
         values: (steps, nodes, r, d), at their stamps; NaN for none.
-        control: (steps, p) that a controller gave; None for none.
         truth: (steps, n), NaN where it is not known.
     """
 
     setup: Setup
     known: Named
     values: np.ndarray
-    control: np.ndarray | None
     truth: np.ndarray
 
     @property
@@ -50,17 +48,9 @@ class HeardReadings:
         """Number of steps."""
         return len(self.values)
 
-    @property
-    def updates(self) -> int:
-        """Number of entries that were read."""
-        return int(np.isfinite(self.values).sum())
-
     def cut(self, steps: int) -> "HeardReadings":
         """The first steps."""
-        control = None if self.control is None else self.control[:steps]
-        return HeardReadings(
-            self.setup, self.known, self.values[:steps], control, self.truth[:steps]
-        )
+        return replace(self, values=self.values[:steps], truth=self.truth[:steps])
 
     def without_ends(self, kinds: set[str], steps: int) -> "HeardReadings":
         """The readings of which some kinds lack so many steps at both ends: however delays move the
@@ -70,7 +60,7 @@ class HeardReadings:
             for entry in (place for place, kind in enumerate(of_node) if kind in kinds):
                 values[:steps, node, :, entry] = np.nan
                 values[self.steps - steps :, node, :, entry] = np.nan
-        return HeardReadings(self.setup, self.known, values, self.control, self.truth)
+        return replace(self, values=values)
 
     def moves(self, values: Mapping[str, Any]) -> np.ndarray:
         """By how many steps the delays among these values move each node's entries, integers (...,
@@ -119,9 +109,7 @@ def readings_of(scenario: Scenario) -> HeardReadings:
         if step:
             truth.append(plant.advance(truth[-1], None, draws.process[step - 1], step - 1))
         readings.append(plant.observe(truth[-1], draws.measurement[step], step))
-    return HeardReadings(
-        setup, named(definition, scenario), np.stack(readings), None, np.stack(truth)
-    )
+    return HeardReadings(setup, named(definition, scenario), np.stack(readings), np.stack(truth))
 
 
 def updates(
@@ -141,8 +129,7 @@ def updates(
     belief = Gaussian(np.tile(mean, (lanes, 1)), np.tile(cov, (lanes, 1, 1)))
     for step, readings in enumerate(log.by_step(values, lanes)):
         if step:
-            driven = None if log.control is None else np.tile(log.control[step], (lanes, 1))
-            moved, sound = predict_to_step(belief, driven, step, model, own_filter)
+            moved, sound = predict_to_step(belief, None, step, model, own_filter)
             belief = where(sound, moved, belief)
         found = []
         for node, sensor in sensors:

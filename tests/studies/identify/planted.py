@@ -1,13 +1,18 @@
 """Plants whose models have three planted errors each, and logs of them as they really are."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray
+from msgspec.structs import replace
 
 import concord as cc
+from concord.features.vehicle.plant.drive_log import write_drive
 from concord.studies.identify.readings import readings_of
+from tests.features.vehicle.identification.simulated_log import FILE, simulated_log
 
 
 class Planted(NamedTuple):
@@ -162,9 +167,29 @@ def spring(seed: int) -> Planted:
     return Planted(cc.own_scenario(plant, sensors, readings=log), right)
 
 
+def car(seed: int) -> Planted:
+    """A car whose front tyres are softer than its file says, with a gyroscope that is better, and
+    wheels that are stamped late."""
+    sheets = FILE.sensors
+    true = replace(
+        FILE,
+        front_stiffness_n_rad=112e3,
+        sensors=replace(
+            sheets,
+            yaw_rate=replace(sheets.yaw_rate, noise=0.0025),
+            wheel_speed=replace(sheets.wheel_speed, delay_s=0.02),
+        ),
+    )
+    folder = Path(mkdtemp())
+    write_drive(folder, simulated_log(true, 6.0, seed)[0], FILE)
+    right = {"R.yaw_rate": 0.5, "delay.wheel_speed": 0.02, "theta.front_stiffness": 112e3}
+    return Planted(cc.scenario("vehicle-network", data=str(folder)), right)
+
+
 PLANTS: dict[str, Callable[[int], Planted]] = {
     "cart": cart,
     "pendulum": pendulum,
     "bicycle": bicycle,
     "spring": spring,
+    "car": car,
 }
