@@ -23,6 +23,8 @@ from concord.studies.identify.identify import Identification, Judgement, identif
 from concord.studies.memory import check_memory
 from concord.studies.progress import progress
 
+_PARTS = 1000  # of the work, for progress
+
 
 @dataclass(frozen=True, kw_only=True)
 class SeekOptions:
@@ -63,8 +65,8 @@ def identify_values(
                 raise ValueError(f"--out {options.out}: the file exists; choose another name")
             make_folder(options.out.parent, "--out", options.out)
         seek = [one.strip() for one in (options.seek or "").split(",") if one.strip()]
-        with progress("identify, at most", 100_000, as_json=options.json) as on_part:
-            result = identify(found, seek, lambda done, most: on_part(round(100_000 * done / most)))
+        with progress("identify, at most", _PARTS, as_json=options.json) as on_part:
+            result = identify(found, seek, lambda done, most: on_part(_PARTS * done // most))
         if options.out is not None:
             result.write(options.out)
     if options.json:
