@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from concord.experiments.python_studies import compare as compare
     from concord.experiments.python_studies import design as design
     from concord.experiments.python_studies import exact as exact
+    from concord.experiments.python_studies import identify as identify
     from concord.experiments.python_studies import plots as plots
     from concord.experiments.python_studies import sweep as sweep
     from concord.plants.linear_systems import from_control as from_control

@@ -80,6 +80,11 @@ COMMANDS = {
         "Compare all fusion rules, and your own, on a fixed suite of cases with fixed noise.",
         "study",
     ),
+    "identify": (
+        f"{_CLI}.identify:identify_values",
+        "Find the noise, delays and parameters that explain the readings of a scenario best.",
+        "study",
+    ),
     "plot": (
         f"{_CLI}.plot:plot",
         "Draw a result.",
@@ -148,6 +153,11 @@ NAMES = {
         "The data set of a run folder, or of a file that `sweep` has written; "
         "docs/results.md and docs/sweeps.md name every variable. A variable is read from "
         "the file when it is first used.",
+    ),
+    "identify": (
+        f"{_STUDIES}:identify",
+        "The noise, delays and parameters that explain the readings of a scenario best; "
+        "docs/own_data.md.",
     ),
     "plots": (
         f"{_STUDIES}:plots",

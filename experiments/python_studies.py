@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from concord.studies.exact.results import Exact
+    from concord.studies.identify.identify import Identification
 
 from concord.experiments.python_api import at_least_one
 
@@ -148,6 +149,36 @@ def exact(
     at_least_one("patterns", patterns)
     first = scenario.run
     return exact_of(prepare(scenario), range(first, first + patterns))
+
+
+@python_words()
+def identify(
+    scenario: Scenario, seek: str | Sequence[str] = (), *, out: Path | str | None = None
+) -> "Identification":
+    """The noise, delays and parameters that explain the readings of a scenario best;
+    docs/own_data.md.
+
+    Args:
+        scenario: with the readings of a log, or with simulated ones.
+        seek: names such as "R.gps,Q.speed,delay.imu,theta.mass"; all R and Q when left out.
+        out: file that `own_scenario(..., identified=FILE)` takes.
+
+    Returns:
+        each value with its interval, and the verdict before and after. `scenario.with_(identified=
+        result.word)` believes in them.
+
+    Raises:
+        ValueError: a name that the scenario does not have; the message lists the right ones.
+    """
+    # Only here: other studies fit nothing.
+    from concord.studies.identify.identify import identify as identified
+
+    require_kind("scenario", scenario, Scenario, "a scenario, such as cc.own_scenario(...)")
+    names = seek.split(",") if isinstance(seek, str) else seek
+    result = identified(scenario, [one.strip() for one in names if one.strip()])
+    if out is not None:
+        result.write(Path(out))
+    return result
 
 
 @python_words()

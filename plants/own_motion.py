@@ -1,8 +1,9 @@
 """How a plant of the user's own moves: f or dynamics of states, inputs and steps."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -84,12 +85,36 @@ class OwnMotion:
         return value
 
 
+def bound(
+    name: str, function: Callable[..., ArrayLike], parameters: Mapping[str, float]
+) -> Callable[..., ArrayLike]:
+    """A function with the parameters that it takes by keyword.
+
+    Raises:
+        ValueError: it must be given a keyword that is no parameter.
+    """
+    try:
+        asked = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return function
+    keywords = [one for one in asked if one.kind == one.KEYWORD_ONLY]
+    taken = {one.name: parameters[one.name] for one in keywords if one.name in parameters}
+    for one in keywords:
+        if one.default is one.empty and one.name not in taken:
+            raise ValueError(
+                f"{name} takes {one.name} by keyword, and the plant has no such parameter; give "
+                f"parameters={{{one.name!r}: (value, low, high)}}"
+            )
+    return partial(function, **taken) if taken else function
+
+
 def motion_of(
     f: Callable[..., ArrayLike] | None,
     dynamics: Callable[..., ArrayLike] | None,
     inputs: Inputs,
     integrator: str,
     time_step_s: float,
+    parameters: Mapping[str, float],
 ) -> OwnMotion:
     """Return the motion of a plant's fields.
 
@@ -107,6 +132,7 @@ def motion_of(
     name = "dynamics" if f is None else "f"
     function: Any = dynamics if f is None else f
     _require_callable(name, function)
+    function = bound(name, function, parameters)
     given: Any = _inputs(inputs)
     motion = OwnMotion(name, function, _arguments(name, function), given, integrator, time_step_s)
     if motion.arguments == 1 and given is not None:

@@ -1,13 +1,13 @@
 """A plant of the user's own, as a plain function and covariances."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.plants.own_motion import RK4, Inputs, OwnMotion, motion_of
+from concord.plants.own_motion import RK4, Inputs, OwnMotion, bound, motion_of
 from concord.plants.own_trials import (
     Function,
     require_angles,
@@ -20,6 +20,7 @@ from concord.plants.own_values import (
     covariance_of,
     numbers_of,
     require_description,
+    require_parameters,
     vector_of,
 )
 
@@ -43,6 +44,8 @@ class OwnPlant:
         positions: places of the nodes in m, (nodes, 2), for geometric graphs and pictures.
         angles: states that are angles in rad. f and h get them within (-pi, pi], and f may return
             them on any turn. Recorded states count turns, so that they have no jumps.
+        parameters: value, least and largest, (value, low, high), of what f, dynamics and the h of
+            sensors take by keyword, as mass in f(x, u, *, mass); `concord identify` seeks them.
 
     Raises:
         ValueError: shapes that do not fit, inputs that the function does not take, a matrix that
@@ -62,12 +65,14 @@ class OwnPlant:
     state_units: tuple[str, ...] = ()
     positions: ArrayLike | None = None
     angles: tuple[int, ...] = ()
+    parameters: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = self.states
         require_description(n, self.time_step_s, self.state_names, self.state_units)
         require_angles(self.angles, n, "states")
         law = self.prior_mean, self.prior_cov
+        require_parameters(self.parameters)
         _ = self.noise_cov, self.places
         first, call = self.motion.at(0), self.motion.call
         require_lanes(call, first, self.prior_mean, n)
@@ -78,7 +83,19 @@ class OwnPlant:
     @cached_property
     def motion(self) -> OwnMotion:
         """How the states move."""
-        return motion_of(self.f, self.dynamics, self.inputs, self.integrator, self.time_step_s)
+        return motion_of(
+            self.f, self.dynamics, self.inputs, self.integrator, self.time_step_s, self.values
+        )
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The value of each parameter."""
+        return {name: float(one[0]) for name, one in self.parameters.items()}
+
+    def with_values(self, values: Mapping[str, float]) -> "OwnPlant":
+        """The plant with other values of its parameters."""
+        changed = {name: (value, *self.parameters[name][1:]) for name, value in values.items()}
+        return replace(self, parameters={**self.parameters, **changed})
 
     @property
     def states(self) -> int:
@@ -135,7 +152,8 @@ class OwnPlant:
         return turned
 
     def of_turned(self, h: Function) -> Function:
-        """A function of states (..., n) that gets angles within (-pi, pi]."""
+        """A function of states (..., n) that gets angles within (-pi, pi], and parameters."""
+        h = bound("h", h, self.values)
         if not self.angles:
             return h
         return lambda x: h(within_a_turn(x, self.angles))

@@ -1,7 +1,7 @@
 """Readings of a log in place of the noise of an own plant."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,6 +14,7 @@ from concord.plants.own_truth import NodeSensors, OfOwnPlant
 from concord.plants.placement import Draws, GeneratorFor
 from concord.plants.recorded.channels import (
     ChannelReadings,
+    earlier,
     grid_over,
     mean_by_step,
     readings_by_step,
@@ -68,6 +69,10 @@ class OwnReplay(OfOwnPlant):
     def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Readings (..., nodes, r, d) of a step."""
         return self.readings[step] + noise
+
+    def delayed(self, steps: Sequence[Sequence[int]]) -> "OwnReplay":
+        """The log with readings of each node and entry so many steps earlier."""
+        return replace(self, readings=earlier(self.readings, steps))
 
     def positions(self, step: int) -> np.ndarray | None:
         """Return the nodes' places (nodes, 2) in m; None where the user named none."""

@@ -1,6 +1,6 @@
 """A sensor of the user's own, when it reads, and the sensors of a node as one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ class OwnSensor:
     """y = h(x) + v, v normal with covariance R; also the model of its node's filter.
 
     Attributes:
-        h: states (..., n) -> readings (..., m).
+        h: states (..., n) -> readings (..., m); it may take parameters of the plant by keyword.
         R: covariance of the noise, (m, m), its diagonal (m,), or one variance.
         angles: entries of the reading that are angles in rad; their differences are wrapped.
         gate: how likely a sound reading passes, from 0.7 to below 1, such as 0.99; or the
@@ -36,13 +36,14 @@ class OwnSensor:
         start_s: time of its first reading.
         delay_s: from a reading to its arrival at the node. Rule `labelled` puts late ones back.
         missing: probability that a reading is lost before the node has it.
+        kinds: under which name `concord identify` has the noise of each entry; left to concord.
 
     Raises:
         ValueError: an R that is no covariance, angles that the reading does not have, a gate that
             would refuse half of the sound readings, or times below zero.
     """
 
-    h: Function
+    h: Callable[..., ArrayLike]
     R: ArrayLike
     angles: tuple[int, ...] = ()
     gate: float | None = None
@@ -52,6 +53,7 @@ class OwnSensor:
     start_s: float = 0.0
     delay_s: float = 0.0
     missing: float = 0.0
+    kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_angles(self.angles, self.entries, "entries")
@@ -139,6 +141,7 @@ def joined(sensors: Sequence[OwnSensor]) -> OwnSensor:
         angles=tuple(int(first) + place for one, first in pairs for place in one.angles),
         channels=tuple(pair for one in sensors for pair in named_channels(one)),
         name=" and ".join(one.name for one in sensors if one.name),
+        kinds=tuple(kind for one in sensors for kind in one.kinds),
     )
 
 

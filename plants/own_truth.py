@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from concord.plants.own_motion import Inputs
+from concord.plants.own_motion import Inputs, bound
 from concord.plants.own_plant import OwnPlant
 from concord.plants.own_sensor import OwnSensor, TrueSensor, joined, require_sensor
 from concord.plants.own_trials import require_lanes, within_a_turn
@@ -293,7 +293,7 @@ def sensors_of_nodes(
             f"truth: sensors has {len(real)} entries for {len(sensors)} nodes; give one for each, "
             "None for what is as believed"
         )
-    nodes = []
+    nodes, kinds = [], _kinds([one for own in of_nodes for one in own])
     for place, (own, others) in enumerate(zip(of_nodes, real, strict=True)):
         reals = others if isinstance(others, Sequence) else (others,) * max(1, len(own))
         if own and len(reals) != len(own):
@@ -301,6 +301,9 @@ def sensors_of_nodes(
                 f"truth: entry {place} of sensors has {len(reals)} and the node {len(own)}; give "
                 "one for each"
             )
+        own = tuple(
+            replace(one, h=bound("h", one.h, plant.values), kinds=kinds[id(one)]) for one in own
+        )
         for one in own:
             require_sensor(one, plant.prior_mean, plant.prior_cov, plant.angles)
             _require_rate(one, plant.time_step_s)
@@ -311,6 +314,16 @@ def sensors_of_nodes(
             of_node.require_sound(plant.prior_mean)
         nodes.append(of_node)
     return tuple(nodes)
+
+
+def _kinds(sensors: Sequence[OwnSensor]) -> dict[int, tuple[str, ...]]:
+    """The kind of each entry of each sensor, by its id: its name, or the number of a sensor without
+    one among all that differ."""
+    each = {id(one): one for one in sensors}
+    return {
+        key: one.kinds or (one.name or f"sensor{place}",) * one.entries
+        for place, (key, one) in enumerate(each.items())
+    }
 
 
 def _turned(true: Any, plant: OwnPlant) -> TrueSensor:

@@ -33,6 +33,20 @@ def require_description(
             raise ValueError(f"{field} {given}: must have {states} entries, one for each state")
 
 
+def require_parameters(given: Any) -> None:
+    """Refuse parameters that are no (value, low, high) by name, or a value outside its bounds."""
+    for name, one in given.items():
+        try:
+            value, low, high = map(float, one)
+        except (TypeError, ValueError):
+            raise ValueError(f"parameters {name}: {one}: must be (value, low, high)") from None
+        if not (low <= value <= high and low < high and np.isfinite([low, high]).all()):
+            raise ValueError(
+                f"parameters {name}: {one}: must be (value, low, high), finite, with the value "
+                "between the others"
+            )
+
+
 def vector_of(name: str, given: ArrayLike) -> np.ndarray:
     """Return a vector (n,) of finite numbers; `name` is that of the argument in messages."""
     vector = np.atleast_1d(numbers_of(name, given))

@@ -1,5 +1,7 @@
 """The scenarios by name."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from concord.entries import chosen, entries
@@ -23,9 +25,22 @@ def definition_of(scenario: Scenario) -> ScenarioDefinition:
     Raises:
         ValueError: it is of a file that is not there, or is another one now.
     """
-    if isinstance(scenario.plant, UserPlant):
-        return _of_user(scenario.plant.where)
-    return definition_named(scenario.name)
+    plant = scenario.plant
+    where = plant.where if isinstance(plant, UserPlant) else scenario.name
+    return _believed(where, scenario.identified) if scenario.identified else _definition(where)
+
+
+def _definition(where: ValueSource | str) -> ScenarioDefinition:
+    return definition_named(where) if isinstance(where, str) else _of_user(where)
+
+
+@lru_cache(maxsize=16)
+def _believed(where: ValueSource | str, word: str) -> ScenarioDefinition:
+    # Only here: most filters believe in their scenario as it is.
+    from concord.scenarios.identified import believed
+    from concord.scenarios.types.identified_values import values_in
+
+    return believed(_definition(where), values_in(word))
 
 
 def _of_user(source: ValueSource) -> ScenarioDefinition:

@@ -68,6 +68,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         FilterChoice,
         Option("Filter of the nodes; FILE.py:NAME is your own.", group="filter", first=True),
     ] = UnscentedFilter()
+    identified: Annotated[
+        str,
+        Option("Noise, delays and parameters that filters believe in place of the scenario's: a "
+               "file of `concord identify`, or NAME=VALUE;NAME=VALUE, such as R.gps=1.5.",
+               group="filter"),
+    ] = ""  # fmt: skip
     steps: Annotated[int, Option("Sampling instants to simulate.", at_least=1, first=True)]
     seed: Annotated[int, Option("Seed of everything random.", at_least=0, first=True)] = 1
     run: Annotated[
@@ -144,6 +150,11 @@ def in_words(options: dict[str, Any]) -> dict[str, Any]:
     }
     if isinstance(plain.get("changes"), str):
         plain = {**plain, "changes": (plain["changes"],)}
+    if plain.get("identified"):
+        # Only here: most scenarios are believed as they are.
+        from concord.scenarios.types.identified_values import in_one_word
+
+        plain["identified"] = in_one_word(str(plain["identified"]))
     # Only here: a process of the network is handed the neighbours of its nodes.
     graph, placement = plain.get("graph"), plain.get("placement")
     if graph is not None and not isinstance(graph, str):

@@ -117,6 +117,14 @@ class Explanation(NamedTuple):
     anees: tuple[float, float, float] = (np.nan, np.nan, np.nan)
 
 
+class Declared(NamedTuple):
+    """Parameters of a plant: value, least and largest of each by name. `bound` maps values of them
+    to the model of the plant and the sensors of the nodes, None for a blind node."""
+
+    parameters: Mapping[str, tuple[float, float, float]]
+    bound: Callable[[Mapping[str, float]], tuple[Model, Sequence[Sensor | None]]]
+
+
 class ScenarioDefinition(NamedTuple):
     """One named scenario.
 
@@ -155,6 +163,7 @@ class ScenarioDefinition(NamedTuple):
         node_names: of all nodes; empty where numbers are their names.
         origin: a point (n,) near the states, the same for all runs, about which shares and readings
             are written; None for zero.
+        declared: parameters of model and sensors that `concord identify` may seek; None for none.
     """
 
     defaults: Scenario
@@ -182,6 +191,7 @@ class ScenarioDefinition(NamedTuple):
     explain: Callable[[Setup, Gaussian, np.ndarray], Explanation] = lambda *_: Explanation()
     node_names: tuple[str, ...] = ()
     origin: Callable[[Scenario], np.ndarray | None] = lambda _: None
+    declared: Callable[[Scenario], Declared | None] = lambda _: None
 
     def wiring(self, scenario: Scenario) -> NetworkWiring | None:
         """The wiring of the scenario's rule; None where every node filters and fuses.

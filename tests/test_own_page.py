@@ -10,6 +10,7 @@ pytestmark = pytest.mark.slow
 
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
 NAMES = ("pendulum", "cart", "sharpest", "fading", "patient", "serial")
+OWN_DATA = (ROOT / "docs" / "own_data.md").read_text(encoding="utf-8")
 CHECKING = (ROOT / "docs" / "checking.md").read_text(encoding="utf-8")
 
 
@@ -27,3 +28,13 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("command", [*commands(PAGE), *commands(CHECKING)])
 def test_the_commands_run_beside_files_of_the_names_of_our_folders(command: str, folder: Path):
     run_as_reader(command, folder)
+
+
+def test_the_commands_of_own_data_run_one_after_the_other(tmp_path: Path):
+    for name, text in zip(
+        ("write_log", "trolley", "session"), blocks(OWN_DATA, "python"), strict=True
+    ):
+        (tmp_path / f"{name}.py").write_text(text)
+    for command in (*commands(OWN_DATA), "python session.py"):
+        run_as_reader(command, tmp_path)
+    assert (tmp_path / "found.toml").is_file()

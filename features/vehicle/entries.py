@@ -32,10 +32,10 @@ FILTERS = {
     ),
 }
 COMMANDS = {
-    "identify": (
+    "identify-car": (
         f"{_HERE}.identify_command:identify_tyres",
         "Find the tyres, the sensors and the process noise that explain a drive best.",
-        "study",
+        "page",
     ),
 }
 CASES = {

@@ -1,4 +1,4 @@
-"""`concord identify`: tyres, sensors and process noise of a car from a drive."""
+"""`concord identify-car`: tyres, sensors and process noise of a car from a drive."""
 
 import sys
 from collections.abc import Mapping

@@ -106,4 +106,4 @@ def in_words(found: Suspect, data: str) -> str:
 
 
 def _identify(data: str) -> str:
-    return f"`concord identify --data {data}`"
+    return f"`concord identify-car --data {data}`"

@@ -7,7 +7,7 @@ what the sensors really do.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,9 +15,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from concord.features.vehicle.identification.sought import value_at, with_value
 from concord.features.vehicle.options import AdaptiveUnscented, VehicleNetwork
 from concord.features.vehicle.plant.cars import FITTED_CARS
-from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, channels_of_nodes
+from concord.features.vehicle.plant.corrections import channels_of_nodes
 from concord.features.vehicle.plant.drive_log import (
     POSITION_CHANNELS,
     delays_in,
@@ -30,6 +31,7 @@ from concord.features.vehicle.plant.model import single_track, tanh_tyre
 from concord.features.vehicle.plant.network import (
     ERRORS,
     NODES,
+    SENSORS_OF_NODES,
     SIDE_SLIP,
     CarSensor,
     DrivenCar,
@@ -44,7 +46,7 @@ from concord.features.vehicle.plant.validity import outside_model
 from concord.filters.gaussian import Gaussian
 from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.scenario_definition import Explanation, ScenarioDefinition, Score
+from concord.scenarios.scenario_definition import Declared, Explanation, ScenarioDefinition, Score
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import FlexRay
 from concord.scenarios.types.plants import SensorNetwork
@@ -156,9 +158,55 @@ def _model(scenario: Scenario) -> DrivenCar:
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    model = _model(scenario)
+    return _sensor_of(scenario, node, _model(scenario))
+
+
+def _sensor_of(scenario: Scenario, node: int, model: DrivenCar) -> CarSensor:
     own = sensor(node, model.single_track, model.positioned)
     return replace(own, gate=_gate(vehicle_of(scenario).sensor_gate, len(own.sheets)))
+
+
+_PARAMETERS = {
+    "mass": (("mass_kg",), 0.5, 2.0),
+    "yaw_inertia": (("yaw_inertia_kg_m2",), 0.4, 2.5),
+    "front_stiffness": (("front_stiffness_n_rad",), 0.2, 5.0),
+    "rear_stiffness": (("rear_stiffness_n_rad",), 0.2, 5.0),
+    "friction": (("friction",), 0.2, 2.0),
+    "wheel_speed_scale": (("sensors", "wheel_speed_scale"), 0.8, 1.25),
+    "lateral_acceleration_scale": (("sensors", "lateral_acceleration_scale"), 0.8, 1.25),
+}
+_OFFSETS = {
+    "accelerometer_ahead": (("sensors", "accelerometer_ahead_m"), 2.0),
+    "yaw_rate_offset": (("sensors", "yaw_rate", "offset"), 0.1),
+    "lateral_acceleration_offset": (("sensors", "lateral_acceleration", "offset"), 2.0),
+    "longitudinal_acceleration_offset": (("sensors", "longitudinal_acceleration", "offset"), 2.0),
+    "steering_offset": (("sensors", "steering", "offset"), 0.1),
+}
+"""Values of a car's file that `concord identify` may seek: where they are, the least and largest
+as factors, or how far they may be off."""
+
+
+def _declared(scenario: Scenario) -> Declared:
+    vehicle = vehicle_of(scenario)
+    model = _model(scenario)
+    file = model.single_track.car
+    paths = {name: one[0] for name, one in (_PARAMETERS | _OFFSETS).items()}
+    there = {name: value_at(file, path) for name, path in paths.items()}
+    found = {
+        name: (there[name], low * there[name], high * there[name])
+        for name, (_, low, high) in _PARAMETERS.items()
+    }
+    for name, (_, most) in _OFFSETS.items():
+        found[name] = (there[name], there[name] - most, there[name] + most)
+
+    def bound(values: Mapping[str, float]) -> tuple[DrivenCar, list[CarSensor]]:
+        car = file
+        for name, value in values.items():
+            car = with_value(car, paths[name], value)
+        changed = _believed(car, vehicle.process_noise, model.positioned)
+        return changed, [_sensor_of(scenario, node, changed) for node in range(len(NODES))]
+
+    return Declared(found, bound)
 
 
 @cache
@@ -229,7 +277,7 @@ def _explain(setup: Setup, beliefs: Gaussian, counted: np.ndarray) -> Explanatio
     data = vehicle_of(setup.scenario).data
     if data is None:
         return Explanation()
-    cure = f"`concord identify --data {data}` fits the car's model to the log"
+    cure = f"`concord identify-car --data {data}` fits the car's model to the log"
     if len(counted) > 1 or not counted.any():
         return Explanation(cure)
     # Only here: a node does not explain its run.
@@ -286,4 +334,5 @@ DEFINITION = ScenarioDefinition(
     outside=_outside,
     explain=_explain,
     node_names=NODES,
+    declared=_declared,
 )

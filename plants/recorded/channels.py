@@ -6,7 +6,7 @@ is therefore off by at most d T / 2 at steps T apart, and by d T / sqrt(12) RMS 
 anywhere.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -154,6 +154,20 @@ def readings_by_step(channel: ChannelReadings, grid: SamplingInstants) -> np.nda
     by_step = np.full((grid.steps, int(rank.max(initial=0)) + 1), np.nan)
     by_step[steps, rank] = channel.values
     return by_step
+
+
+def earlier(readings: np.ndarray, steps: Sequence[Sequence[int]]) -> np.ndarray:
+    """Return readings (steps, nodes, r, d) of which each node's and entry's are so many steps
+    earlier, later where the number is negative; NaN where none comes."""
+    moved = np.full_like(readings, np.nan)
+    for node, of_node in enumerate(steps):
+        for entry, by in enumerate(of_node):
+            whole = readings[:, node, :, entry]
+            end = len(whole) - abs(by)
+            if end > 0:
+                first, last = max(0, -by), max(0, by)
+                moved[first : first + end, node, :, entry] = whole[last : last + end]
+    return moved
 
 
 def _nearest(since_start_s: np.ndarray, time_step_s: float) -> np.ndarray:

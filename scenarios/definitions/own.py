@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -17,7 +18,7 @@ from concord.plants.own_truth import (
 )
 from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.scenario_definition import Declared, ScenarioDefinition, Score
 from concord.scenarios.types.option import Choice, require_kind
 from concord.scenarios.types.plants import SensorNetwork, UserPlant
 from concord.scenarios.user.values import (
@@ -44,6 +45,7 @@ def own_scenario(
     scored_states: Sequence[int] = (0,),
     first_scored_step: int = 20,
     radio_range_m: float | None = None,
+    identified: str | Path = "",
 ) -> Scenario:
     """A scenario of a plant and sensors of your own; `Scenario.with_` changes its options.
 
@@ -59,6 +61,7 @@ def own_scenario(
         scored_states: states of the RMSE, all of one unit.
         first_scored_step: scored from here on, so that the start does not rule the figures.
         radio_range_m: reach of a node in the geometric graph of a plant with positions.
+        identified: file of `concord identify`, whose noise, delays and parameters the filters take.
 
     Raises:
         ValueError: a sensor that cannot read the plant's states, states that it does not have, or
@@ -71,6 +74,7 @@ def own_scenario(
     log = None if readings is None else _log(plant, dealt, readings, truth, nodes)
     own = _OwnNetwork(plant, dealt, plant if truth is None else truth.plant_of(plant), log)
     asked = {"nodes": nodes, "graph": graph, "steps": steps or (log and log.steps)}
+    asked["identified"] = str(identified) or None
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")
     definition = ScenarioDefinition(
@@ -85,6 +89,7 @@ def own_scenario(
         score=own_score(plant.units, scored_states, first_scored_step),
         radio_range_m=radio_range_m,
         origin=lambda _: plant.prior_mean,
+        declared=lambda scenario: own.declared(sensors, scenario.nodes),
     )
     return user_definition(kept_source(definition)).defaults
 
@@ -104,6 +109,19 @@ class _OwnNetwork:
         """The truth with so many nodes."""
         sensors = tuple(self.dealt[node % len(self.dealt)] for node in range(nodes))
         return OwnTruth(self.moving, sensors, self.plant)
+
+    def declared(self, sensors: Sequence[Sensed], nodes: int) -> Declared | None:
+        """The plant's parameters, and model and sensors with other values of them."""
+        if not self.plant.parameters:
+            return None
+
+        @lru_cache
+        def bound(values: tuple[tuple[str, float], ...]) -> Any:
+            plant = self.plant.with_values(dict(values))
+            of_nodes = [one and one.sensor for one in sensors_of_nodes(plant, sensors)]
+            return plant, [of_nodes[node % len(of_nodes)] for node in range(nodes)]
+
+        return Declared(self.plant.parameters, lambda values: bound(tuple(values.items())))
 
     def late_steps(self, scenario: Scenario) -> tuple[int, ...]:
         """After how many steps each node has its readings; empty where all come at once."""

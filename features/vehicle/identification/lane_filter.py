@@ -7,9 +7,10 @@ import numpy as np
 
 from concord.features.vehicle.identification.logged_readings import COURSE, SENSORS, LoggedReadings
 from concord.features.vehicle.identification.sought import process_noise_covs
-from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, earlier, earlier_by
+from concord.features.vehicle.plant.corrections import earlier, earlier_by
 from concord.features.vehicle.plant.model import SingleTrack, Tyre, axles_of
 from concord.features.vehicle.plant.network import (
+    SENSORS_OF_NODES,
     SIDE_SLIP,
     SPEED,
     STEERING,

@@ -6,13 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from concord.features.vehicle.plant.corrections import (
-    SENSORS_OF_NODES,
-    channels_of_nodes,
-    stamped,
-    steps_over,
-)
+from concord.features.vehicle.plant.corrections import channels_of_nodes, stamped, steps_over
 from concord.features.vehicle.plant.drive_log import speeds_in
+from concord.features.vehicle.plant.network import SENSORS_OF_NODES
 from concord.features.vehicle.plant.parameters import Car
 from concord.features.vehicle.plant.start import FirstBelief, start_of
 from concord.plants.recorded.channels import (

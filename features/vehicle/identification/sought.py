@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, channels_of_nodes
+from concord.features.vehicle.plant.corrections import channels_of_nodes
+from concord.features.vehicle.plant.network import SENSORS_OF_NODES
 from concord.features.vehicle.plant.parameters import Car, ProcessNoise
 from concord.plants.recorded.channels import ChannelReadings
 

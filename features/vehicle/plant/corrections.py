@@ -5,19 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from concord.features.vehicle.plant.drive_log import POSITION_CHANNELS, free_wheels
+from concord.features.vehicle.plant.network import SENSORS_OF_NODES
 from concord.features.vehicle.plant.parameters import Car, SensorSheets
 from concord.plants.recorded.channels import ChannelReadings, SamplingInstants, grid_over
 
 SMOOTHED = 20
 """Half of the window of the smoothing, in samples."""
-
-SENSORS_OF_NODES = (
-    ("wheel_speed", "wheel_speed"),
-    ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
-    ("steering",),
-    ("ground_speed", "course", "position", "position"),
-)
-"""The sensor of each channel of the nodes of `network`, by its name in `SensorSheets`."""
 
 
 def channels_of_nodes(car: Car) -> tuple[tuple[str, ...], ...]:

@@ -7,7 +7,7 @@ the state also has the place of the centre of mass, [x, y]; the heading counts f
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from concord.features.vehicle.plant.parameters import Car, SensorSheet
 from concord.features.vehicle.plant.sensors import SensorError, contaminated, noise_std
 from concord.plants.placement import Draws, GeneratorFor
 from concord.plants.range_bearing import wrapped
+from concord.plants.recorded.channels import earlier
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
 STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s²")
@@ -55,6 +56,15 @@ CHANNEL_NAMES = (
     (("speed over ground", "m/s"), ("course over ground", "rad"), ("x", "m"), ("y", "m")),
 )
 """Name and unit of each node's channels."""
+
+
+SENSORS_OF_NODES = (
+    ("wheel_speed", "wheel_speed"),
+    ("yaw_rate", "lateral_acceleration", "longitudinal_acceleration"),
+    ("steering",),
+    ("ground_speed", "course", "position", "position"),
+)
+"""The sensor of each of the nodes' channels, by its name in `SensorSheets`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +113,7 @@ class CarSensor:
     """A node's sensor: `read` maps states (..., n) to its channels (..., m).
 
     sheets: of each channel, what the node believes at the start. course: the channel that is an
-    angle. channels: name and unit of each.
+    angle. channels: name and unit of each. kinds: of which of `SensorSheets` each is.
     """
 
     read: Callable[[np.ndarray], np.ndarray]
@@ -111,6 +121,7 @@ class CarSensor:
     course: int | None = None
     gate: float | None = None
     channels: tuple[tuple[str, str], ...] = ()
+    kinds: tuple[str, ...] = ()
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Channels (..., m) of states (..., n), without noise."""
@@ -187,7 +198,8 @@ def sensor(node: int, single_track: SingleTrack, positioned: bool = False) -> Ca
     )
     course, sheets_there = 1 if read is satellites else None, of_channels[node]
     names = CHANNEL_NAMES[node][: len(sheets_there)]
-    return CarSensor(read, sheets_there, course, channels=names)
+    kinds = SENSORS_OF_NODES[node][: len(sheets_there)]
+    return CarSensor(read, sheets_there, course, channels=names, kinds=kinds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +241,10 @@ class DrivenOnce:
     def steps(self) -> int:
         """Return the number of instants there are."""
         return len(self.truth)
+
+    def delayed(self, steps: Sequence[Sequence[int]]) -> "DrivenOnce":
+        """The drive with readings of each node and channel so many steps earlier."""
+        return replace(self, exact=earlier(self.exact, steps))
 
     def positions(self, step: int) -> None:
         """The nodes sit in one car: nothing to draw on a map."""

@@ -1,4 +1,4 @@
-"""`concord identify`: a folder in, a car out."""
+"""`concord identify-car`: a folder in, a car out."""
 
 import importlib.util
 import json
@@ -29,7 +29,7 @@ def test_it_writes_the_car_that_it_found(folder: Path, capsys):
     out = folder / "found.toml"
     main(
         [
-            "identify",
+            "identify-car",
             "--data",
             str(folder),
             "--friction",
@@ -50,7 +50,7 @@ def test_it_writes_the_car_that_it_found(folder: Path, capsys):
 
 
 def test_the_table_shows_what_was_there_before(folder: Path, capsys):
-    main(["identify", "--data", str(folder), "--tyre", "linear", "--seek", "tyres"])
+    main(["identify-car", "--data", str(folder), "--tyre", "linear", "--seek", "tyres"])
     text = capsys.readouterr().out
     for words in ("front stiffness, N/rad", "129697", "not sought", "condition number"):
         assert words in text
@@ -71,12 +71,12 @@ def test_the_table_shows_what_was_there_before(folder: Path, capsys):
     ],
 )
 def test_a_mistake_is_one_sentence(arguments: list[str], says: str, capsys):
-    assert says in refused(concord(capsys, "identify", *arguments))
+    assert says in refused(concord(capsys, "identify-car", *arguments))
 
 
 def test_nothing_is_written_over(folder: Path, capsys):
     out = folder / "car.toml"
-    said = refused(concord(capsys, "identify", "--data", folder, "--out", out))
+    said = refused(concord(capsys, "identify-car", "--data", folder, "--out", out))
     assert "there is something of that name" in said
     assert car_from_toml(out.read_text()) == BMW_320I
 
@@ -85,7 +85,7 @@ def test_nothing_is_written_over(folder: Path, capsys):
     importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
-    main(["identify", "--manoeuvre", "step-steer", "--seek", "tyres", "--json"])
+    main(["identify-car", "--manoeuvre", "step-steer", "--seek", "tyres", "--json"])
     said = json.loads(capsys.readouterr().out)
     # Compliance and load transfer leave more than the data sheet's 130 kN/rad: see docs/vehicle.md.
     assert 125e3 < said["front_stiffness_n_rad"] < 160e3
@@ -97,9 +97,9 @@ def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
 def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
     folder, out = tmp_path / "new" / "log", tmp_path / "other" / "car.toml"
     asked = ["--manoeuvre", "step-steer", "--car", "ford-escort", "--seek", "tyres", "--json"]
-    main(["identify", *asked, "--log", str(folder), "--out", str(out)])
+    main(["identify-car", *asked, "--log", str(folder), "--out", str(out)])
     simulated = json.loads(capsys.readouterr().out)
-    main(["identify", "--data", str(folder), "--seek", "tyres", "--json"])
+    main(["identify-car", "--data", str(folder), "--seek", "tyres", "--json"])
     assert json.loads(capsys.readouterr().out) == simulated
     assert simulated["car"] == car_from_toml(out.read_text()).name == "Ford Escort"
     # With the noise of its sensors: what is left over of the yaw rate is no less.
@@ -119,7 +119,7 @@ def test_a_straight_drive_with_a_gap_tells_its_sensors_and_leaves_the_tyres(tmp_
     noisy = straight._replace(steering_rad=steering, speed_m_s=speed)
     write_drive(tmp_path, noisy, BMW_320I)
     out = tmp_path / "found.toml"
-    main(["identify", "--data", str(tmp_path), "--out", str(out)])
+    main(["identify-car", "--data", str(tmp_path), "--out", str(out)])
     said = " ".join(capsys.readouterr().out.split())
     assert "The car corners with 0.4 m/s² at most, which tells little of the tyres." in said
     assert "is that of the part from 2.0 to 8.0 s: elsewhere the log has gaps" in said
@@ -128,11 +128,11 @@ def test_a_straight_drive_with_a_gap_tells_its_sensors_and_leaves_the_tyres(tmp_
     # No wheel is logged, so the car's own speed is heard as the speed over ground.
     for sheet, noise in ((car.sensors.steering, 0.0005), (car.sensors.ground_speed, 0.05)):
         assert sheet.noise == pytest.approx(noise, rel=0.1)
-    refusal = refused(concord(capsys, "identify", "--data", tmp_path, "--seek", "tyres"))
+    refusal = refused(concord(capsys, "identify-car", "--data", tmp_path, "--seek", "tyres"))
     assert "--seek tyres" in refusal and "0.4 m/s² at most" in refusal
 
 
-@pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify"])
+@pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify-car"])
 def test_a_drive_whose_car_is_none_is_named(
     command: str,
     tmp_path: Path,

@@ -215,7 +215,7 @@ def test_the_command_judges_such_a_log_and_identifies_its_receiver(tmp_path: Pat
     wrong = replace(sheets, position=SensorSheet(noise=NOISE_M / 2))
     (log / "car.toml").write_text(car_to_toml(replace(CAR, sensors=wrong)))
     car = tmp_path / "car.toml"
-    main(["identify", "--data", str(log), "--out", str(car), "--json"])
+    main(["identify-car", "--data", str(log), "--out", str(car), "--json"])
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["parameters"]}
     true = {"noise of position": NOISE_M, "delay of satellite receiver": 0.04}
     for name, value in true.items():

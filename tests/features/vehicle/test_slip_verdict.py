@@ -39,7 +39,7 @@ def cure_of(cause: Cause, **options) -> str:
 def test_identification_is_named_only_where_there_is_a_log():
     assert "identify" not in cure_of(Cause.MODEL)
     logged = cure_of(Cause.MODEL, data="drives/one")
-    assert "`concord identify --data drives/one` fits the car's model to the log" in logged
+    assert "`concord identify-car --data drives/one` fits the car's model to the log" in logged
     assert "identify" not in cure_of(Cause.OFFSET, data="drives/one")
 
 

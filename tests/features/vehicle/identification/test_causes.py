@@ -98,9 +98,9 @@ def test_the_verdict_names_it_and_identify_finds_it(cause: str, tmp_path: Path, 
     write_drive(before, drive, planted.file)
     said = judged_log(before).sentence
     assert f"of single values of car.toml, {planted.name} explains most: " in said
-    assert f"`concord identify --data {before}` fits all" in said
+    assert f"`concord identify-car --data {before}` fits all" in said
     out = tmp_path / "found.toml"
-    main(["identify", "--data", str(before), "--out", str(out), "--json"])
+    main(["identify-car", "--data", str(before), "--out", str(out), "--json"])
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["parameters"]}
     assert found[planted.name]["low"] < planted.truth < found[planted.name]["high"]
     after.mkdir()

@@ -17,10 +17,10 @@ from concord.features.vehicle.identification.fit import fit
 from concord.features.vehicle.identification.likelihood import likelihood, values_at, widths_of
 from concord.features.vehicle.identification.logged_readings import logged_readings
 from concord.features.vehicle.identification.sought import sought_of, value_at
-from concord.features.vehicle.plant.corrections import SENSORS_OF_NODES, corrected, earlier
+from concord.features.vehicle.plant.corrections import corrected, earlier
 from concord.features.vehicle.plant.drive_log import channels_of, write_drive
 from concord.features.vehicle.plant.model import tanh_tyre
-from concord.features.vehicle.plant.network import SIDE_SLIP
+from concord.features.vehicle.plant.network import SENSORS_OF_NODES, SIDE_SLIP
 from concord.features.vehicle.plant.parameters import Car, car_from_toml
 from concord.plants.recorded.channels import ChannelReadings
 from concord.results.figures.intervals import batch_means
@@ -49,7 +49,7 @@ def identified(tmp_path_factory) -> Identified:
     with pytest.MonkeyPatch.context() as patch:
         written: list[str] = []
         patch.setattr("sys.stdout.write", written.append)
-        main(["identify", "--data", str(folder), "--out", str(folder / "found.toml"), "--json"])
+        main(["identify-car", "--data", str(folder), "--out", str(folder / "found.toml"), "--json"])
     text = "".join(written)
     return Identified(json.loads(text), car_from_toml((folder / "found.toml").read_text()), text)
 

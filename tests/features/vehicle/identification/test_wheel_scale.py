@@ -43,7 +43,7 @@ def test_the_scale_is_found_and_the_grown_noise_told(tmp_path: Path, capsys, mon
     monkeypatch.setenv("COLUMNS", "160")
     written(tmp_path, 6.0)
     out = tmp_path / "found.toml"
-    main(["identify", "--data", str(tmp_path), "--out", str(out)])
+    main(["identify-car", "--data", str(tmp_path), "--out", str(out)])
     said = capsys.readouterr().out
     row = re.search(r"scale of wheel speed +│ +(\S+) +│ (\S+) to (\S+) +│ 1 ", said)
     assert row, said

@@ -245,7 +245,7 @@ def identified(
     log, out = folder / "log", folder / "found.toml"
     log.mkdir()
     write_drive(log, drive, file)
-    main(["identify", "--data", str(log), "--out", str(out), "--json", *words])
+    main(["identify-car", "--data", str(log), "--out", str(out), "--json", *words])
     said = json.loads(capsys.readouterr().out)
     assert said["converged"]
     return said, car_from_toml(out.read_text(encoding="utf-8"))

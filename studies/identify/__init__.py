@@ -1,0 +1,1 @@
+"""Noise, delays and parameters that explain the readings of a scenario best."""
