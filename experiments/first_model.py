@@ -7,22 +7,35 @@ of readings m apart have the mean square m Q + 2 R.
 Reason for a file of its own: it writes texts, where `concord new` writes folders.
 """
 
+import json
 import os
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from concord.plants.recorded.columns import Column, LogMap, Stamps, read_channels
+from concord.plants.recorded.columns import (
+    Column,
+    LogMap,
+    Stamps,
+    read_channels,
+    stands_for_none,
+)
 from concord.plants.recorded.log_file import LogFile
 from concord.plants.recorded.log_files import open_log
 
 _MOST_SERIES = 12
 _APART = 10
-_TIMES = ("time", "t", "timestamp", "stamp", "time_s", "t_s", "secs")
-_MODEL = '''"""First model of the series in {log}: each drifts by itself.
+_TIMES = {
+    **dict.fromkeys(("time", "t", "timestamp", "stamp"), None),
+    **{f"{name}_{unit}": unit for name in ("time", "t") for unit in ("s", "ms", "us", "ns")},
+}
+"""Names of columns of stamps, with the unit that a name says."""
+_SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
+_MODEL = '''"""First model of the series of a log: each drifts by itself.
 
 Put what you know in place of `move`, Q and R; `concord run` says what does not fit.
 """
@@ -75,6 +88,7 @@ class _Series(NamedTuple):
     cov: float
     drift: float
     noise: float
+    not_available: tuple[float, ...]
 
 
 def first_model(log: Path, folder: Path) -> dict[str, str]:
@@ -87,7 +101,10 @@ def first_model(log: Path, folder: Path) -> dict[str, str]:
     time = _time_of(file)
     found: list[_Series] = []
     left: dict[str, str] = {}
-    for column in (name for name in file.names if time is None or name != time.column):
+    stamping = {*file.stamping, *(() if time is None else (time.column,))}
+    if again := [name for name in file.names if file.names.count(name) > 1]:
+        raise ValueError(f"{log}: column {again[0]!r} is there twice; give each a name of its own")
+    for column in (name for name in file.names if name not in stamping):
         if len(found) == _MOST_SERIES:
             left[column] = f"only {_MOST_SERIES} series are taken"
             continue
@@ -101,18 +118,24 @@ def first_model(log: Path, folder: Path) -> dict[str, str]:
             f"{log}: no series of numbers with stamps ({why[:300] or 'the file has none'}); name "
             "the column of the stamps time"
         )
+    for name, why in left.items():
+        sys.stderr.write(f"{name} is left out: {why}\n")
     step_s = float(f"{min(one.spacing_s for one in found):.4g}")
     place = os.path.relpath(log, folder)
     return {
         "columns.toml": _columns(place, time, found, left),
-        "model.py": _model(place, step_s, found),
+        "model.py": _model(step_s, found),
     }
 
 
 def _time_of(file: LogFile) -> Stamps | None:
     """The column that stamps the others, where the file does not stamp each series itself."""
     named = next((name for name in file.names if name.lower() in _TIMES), None)
-    return None if named is None else Stamps(named, file.unit(named) or "s")
+    if named is None or named in file.stamping:
+        return None
+    largest = float(np.nanmax(np.abs(file.series(named)), initial=0.0))
+    since = next((unit for least, unit in _SINCE_1970 if largest > least), "s")
+    return Stamps(named, file.unit(named) or _TIMES[named.lower()] or since)
 
 
 def _series(
@@ -126,12 +149,18 @@ def _series(
         si_units: ClassVar[Mapping[str, str]] = {"value": ""}
 
     default = OneSeries(file=log.name, time=time)
-    known = {"value": Column(column=column)}
+    absent = stands_for_none(file.series(column))
+    if absent:
+        sys.stderr.write(f"{column}: {absent[0]:.12g} is taken for none (not_available)\n")
+    known = {"value": Column(column=column, not_available=absent)}
     channel = read_channels(log.parent, known, default, {log.parent / log.name: file})["value"]
     if len(channel.values) < 3:
         raise ValueError(f"it has {len(channel.values)} readings")
+    changes = np.abs(np.diff(channel.values))
+    # Below a quarter of the smallest change, a reading says nothing.
+    smallest = float(changes[changes > 0].min(initial=np.inf))
     size = max(float(np.abs(channel.values).max()), 1e-6)
-    least = (1e-6 * size) ** 2
+    least = (smallest / 4 if np.isfinite(smallest) else 1e-6 * size) ** 2
     apart = min(_APART, len(channel.values) - 1)
     near, far = (_squared_change(channel.values, count) for count in (1, apart))
     drift = max((far - near) / max(apart - 1, 1), least)
@@ -145,6 +174,7 @@ def _series(
         max(float(np.var(channel.values)), noise),
         drift,
         float(np.sqrt(noise)),
+        absent,
     )
 
 
@@ -170,25 +200,26 @@ def _columns(place: str, time: Stamps | None, found: list[_Series], left: dict[s
     for one in found:
         unit = f", unit = {_quoted(one.unit)}" if one.unit else ""
         key = _quoted(f"{one.name} value")
-        lines.append(f"{key} = {{ column = {_quoted(one.column)}{unit} }}")
+        absent = "".join(f", not_available = [{value!r}]" for value in one.not_available)
+        lines.append(f"{key} = {{ column = {_quoted(one.column)}{unit}{absent} }}")
     lines += [f"# {name}: {' '.join(why.split())}" for name, why in left.items()]
     return "\n".join(lines) + "\n"
 
 
 def _quoted(text: str | None) -> str:
-    return "'" + (text or "").replace("'", "") + "'"
+    # A JSON string is a basic string of TOML.
+    return json.dumps(text or "", ensure_ascii=False)
 
 
-def _model(place: str, step_s: float, found: list[_Series]) -> str:
+def _model(step_s: float, found: list[_Series]) -> str:
     def numbers(values: list[float]) -> str:
         return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
 
     return _MODEL.format(
-        log=Path(place).name,
         step_s=step_s,
         count=len(found),
         q=numbers([one.drift * step_s / one.spacing_s for one in found]),
-        mean=numbers([one.mean for one in found]),
+        mean=[one.mean for one in found],
         cov=numbers([one.cov for one in found]),
         names=tuple(one.name for one in found),
         units=tuple(one.unit for one in found),

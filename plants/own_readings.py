@@ -162,6 +162,10 @@ def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
             """The columns by channel and state."""
             return self.channels | {f"{_TRUTH}{name}": one for name, one in self.truth.items()}
 
+    if not isinstance(source, str | Path) and not hasattr(source, "data_vars"):
+        raise ValueError(
+            f"readings of type {type(source).__name__}: must be a path, or an xarray.Dataset"
+        )
     if not isinstance(source, str | Path):
         return _read_file(DatasetFile(source), Path("readings"), units, OwnLogMap)
     path = Path(source)

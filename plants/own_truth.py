@@ -287,6 +287,11 @@ def sensors_of_nodes(
     if not any(of_nodes):
         raise ValueError("sensors: none of the nodes has one; give at least one OwnSensor")
     true = None if truth is None else truth.sensors
+    if true is not None and not isinstance(true, Sequence):
+        raise ValueError(
+            f"truth: sensors of type {type(true).__name__}: must be a list with an entry for each "
+            "node, such as [TrueSensor(...), None]"
+        )
     real = [None] * len(sensors) if true is None else list(true)
     if len(real) != len(sensors):
         raise ValueError(
@@ -296,6 +301,11 @@ def sensors_of_nodes(
     nodes, kinds = [], _kinds([one for own in of_nodes for one in own])
     for place, (own, others) in enumerate(zip(of_nodes, real, strict=True)):
         reals = others if isinstance(others, Sequence) else (others,) * max(1, len(own))
+        if not own and any(reals):
+            raise ValueError(
+                f"truth: entry {place} of sensors is a TrueSensor, and node {place} has no sensor; "
+                "give None for it"
+            )
         if own and len(reals) != len(own):
             raise ValueError(
                 f"truth: entry {place} of sensors has {len(reals)} and the node {len(own)}; give "

@@ -20,14 +20,17 @@ _FULL_SCALE = frozenset(
     one
     for bits in (8, 16, 32)
     for one in (2.0**bits - 1, 2.0 ** (bits - 1) - 1, -(2.0 ** (bits - 1)))
-)
+) | {9999.0, -9999.0, 99999.0, -99999.0, -999.0}
+_BYTE = 255
 _HUGE = 1e30
 # The same number again and again so far from all others is no reading of a sound sensor.
 _FAR_DEVIATIONS, _FAR_SPANS = 100.0, 10.0
+# A number of more than a fifth of all readings is a level.
+_MOST_SHARE = 0.2
 
 
 class Stamps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A series of a file: what is meant is scale * (number in SI) + offset.
+    """A series of a file: what is meant is scale * (number in the quantity's unit) + offset.
 
     A sensor whose axes point the other way has scale = -1.
 
@@ -35,7 +38,7 @@ class Stamps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         column: name of the series.
         unit: of its numbers; None for the one that the file gives.
         scale: without a unit.
-        offset: in SI.
+        offset: in the quantity's unit, which is that of SI or the user's own.
     """
 
     column: str
@@ -177,7 +180,10 @@ def _channel(
     notes = [f"{repeated} equal readings of one stamp came again, and count once"] * (repeated > 0)
     sorted_by = f"{early} readings have an earlier stamp than the one before; sorted by stamps"
     absent = f"{int(missing.sum())} readings say that there is none, and are left out"
-    return channel, notes + [sorted_by] * (early > 0) + [absent] * bool(missing.any())
+    if (column.not_available or default.not_available) and not missing.any():
+        absent = "no reading is one of not_available"
+    told = bool(missing.any() or column.not_available or default.not_available)
+    return channel, notes + [sorted_by] * (early > 0) + [absent] * told
 
 
 def _not_available(
@@ -190,33 +196,44 @@ def _not_available(
     """
     said = default.not_available if column.not_available is None else column.not_available
     if said is not None:
-        return np.isin(numbers, said)
-    finite = numbers[np.isfinite(numbers)]
-    for value in {finite.min(), finite.max()} if len(finite) else set():
-        others, count = finite[finite != value], int((finite == value).sum())
-        if _stands_for_none(float(value), others, count):
-            raise ValueError(
-                f"{column.column!r} for {quantity} is {value:.9g} in {count} of {len(finite)} "
-                f"readings, which is far from all others ({others.min():.6g} to "
-                f"{others.max():.6g}); write not_available = [{value:.9g}] in the column map if it "
-                "says that there is none, or not_available = [] if it is a reading"
-            )
+        # A number of a file may have fewer digits than that of the map.
+        near = np.isclose(numbers[:, None], np.array(said, dtype=float), rtol=1e-8, atol=0.0)
+        return np.asarray(near.any(axis=1))
+    for value in stands_for_none(numbers):
+        others, count = numbers[numbers != value], int((numbers == value).sum())
+        raise ValueError(
+            f"{column.column!r} for {quantity} is {value:.12g} in {count} of "
+            f"{int(np.isfinite(numbers).sum())} readings, which is far from all others "
+            f"({np.nanmin(others):.6g} to {np.nanmax(others):.6g}); write not_available = "
+            f"[{value:.12g}] in the column map if it says that there is none, or not_available = "
+            "[] if it is a reading"
+        )
     return np.zeros(len(numbers), dtype=bool)
 
 
-def _stands_for_none(value: float, others: np.ndarray, count: int) -> bool:
+def stands_for_none(numbers: np.ndarray) -> tuple[float, ...]:
+    """Return the number in a series (n,) that hardly is a reading; none where all may be."""
+    finite = numbers[np.isfinite(numbers)]
+    ends = sorted({float(finite.min()), float(finite.max())}) if len(finite) else []
+    return tuple(
+        value
+        for value in ends
+        if _is_far(value, finite[finite != value], int((finite == value).sum()))
+    )[:1]
+
+
+def _is_far(value: float, others: np.ndarray, count: int) -> bool:
     """Say whether the largest or least number of a series, so often there, is hardly a reading."""
     if not len(others):
         return False
     distance = float(np.abs(others - value).min())
     if abs(value) >= _HUGE:
         return distance >= _HUGE / 2
-    if np.ptp(others) == 0:
-        # Two levels: a switch, or a counter.
-        return False
-    if count > 1 and distance > _FAR_DEVIATIONS * float(np.std(others)):
-        return True
-    return value in _FULL_SCALE and distance > _FAR_SPANS * float(np.abs(others).max())
+    if value in _FULL_SCALE and distance > _FAR_SPANS * float(np.abs(others).max()):
+        # Of two levels, such as 0 and 255, both may be readings of a switch or a counter.
+        return bool(np.ptp(others) > 0) or abs(value) > _BYTE
+    is_level = count > _MOST_SHARE * (count + len(others)) or np.ptp(others) == 0
+    return count > 1 and not is_level and distance > _FAR_DEVIATIONS * float(np.std(others))
 
 
 def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.ndarray:
@@ -244,11 +261,18 @@ def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.nda
             f"{one.column!r} for {quantity} is in {told} by the file, but in {unit} by the column "
             f'map; write unit = "{told}" in the map, or correct the file'
         )
-    return one.scale * UNITS.get(unit, 1.0) * file.series(one.column) + one.offset
+    wanted = _wanted(quantity, default.si_units)
+    factor = UNITS.get(unit, 1.0) / (1.0 if wanted is None else UNITS.get(wanted, 1.0))
+    return one.scale * factor * file.series(one.column) + one.offset
 
 
 def _units_of(quantity: str, si_units: Mapping[str, str]) -> tuple[str, ...]:
-    wanted = "s" if quantity.startswith("time") else si_units.get(quantity)
+    wanted = _wanted(quantity, si_units)
     # A unit that no other is alike, such as V, is a user's own.
-    alone = (wanted,) if wanted and wanted not in UNITS else tuple(UNITS)
-    return next((some for some in ALIKE if some[0] == wanted), alone)
+    alone = (wanted,) if wanted else tuple(UNITS)
+    return next((some for some in ALIKE if wanted in some), alone)
+
+
+def _wanted(quantity: str, si_units: Mapping[str, str]) -> str | None:
+    """The unit in which a quantity is taken; None for one of SI that no map names."""
+    return "s" if quantity.startswith("time") else si_units.get(quantity)

@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.plants.recorded.log_file import LogFile
 from concord.plants.recorded.netcdf import open_netcdf
+from concord.plants.recorded.units import unit_of
 
 if TYPE_CHECKING:
     import xarray
@@ -38,6 +39,19 @@ class DatasetFile(LogFile):
             for name, variable in self._variables.items()
             if variable.ndim == 1 and variable.dtype.kind in "fiubM"
         )
+
+    @property
+    def stamping(self) -> tuple[str, ...]:
+        """The coordinates that stamp others."""
+        return tuple({str(one.dims[0]): None for one in self._variables.values() if one.ndim == 1})
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit in the attributes of a variable, s for dates, None for neither."""
+        variable = self._variables[name]
+        if variable.dtype.kind == "M":
+            return "s"
+        unit = variable.attrs.get("units")
+        return unit_of(unit) if isinstance(unit, str) and unit_of(unit) not in ("", "1") else None
 
     def series(self, name: str) -> np.ndarray:
         """Return the numbers (n,) of a variable; dates in seconds."""

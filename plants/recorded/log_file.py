@@ -32,6 +32,11 @@ class LogFile(ABC):
     def stamps_s(self, name: str) -> np.ndarray | None:
         """Return the stamps (n,) of a series, or None where the file does not tell them."""
 
+    @property
+    def stamping(self) -> tuple[str, ...]:
+        """Series that only stamp others."""
+        return ()
+
     def unit(self, name: str) -> str | None:
         """Return the unit that the file gives for a series, or None where it gives none."""
         del name

@@ -73,7 +73,7 @@ def own_scenario(
     dealt = sensors_of_nodes(plant, sensors, truth)
     log = None if readings is None else _log(plant, dealt, readings, truth, nodes)
     own = _OwnNetwork(plant, dealt, plant if truth is None else truth.plant_of(plant), log)
-    asked = {"nodes": nodes, "graph": graph, "steps": steps or (log and log.steps)}
+    asked = {"nodes": nodes, "graph": graph, "steps": log and log.steps if steps is None else steps}
     asked["identified"] = str(identified) or None
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
+import concord as cc
 from concord.experiments.first_model import first_model
 from tests.experiments.command_support import concord, refused
 
@@ -78,3 +80,64 @@ def test_series_that_are_left_out_stand_in_the_columns(tmp_path: Path):
     (tmp_path / "many.csv").write_text("time," + ",".join(names) + "\n" + rows)
     columns = first_model(tmp_path / "many.csv", tmp_path)["columns.toml"]
     assert columns.count("column =") == 13 and "# s12: only 12 series are taken" in columns
+
+
+def written(text: str, folder: Path, name: str = "drive.csv") -> dict:
+    """What the model of a log defines; its folder holds the columns."""
+    (folder / name).write_text(text)
+    texts = first_model(folder / name, folder)
+    (folder / "columns.toml").write_text(texts["columns.toml"])
+    namespace: dict = {"__file__": str(folder / "model.py")}
+    exec(texts["model.py"], namespace)
+    return namespace
+
+
+def rows(names: str, *columns: np.ndarray, stamp: str = "{:.1f}") -> str:
+    lines = [f"time,{names}"]
+    for k, values in enumerate(zip(*columns, strict=True)):
+        lines.append(",".join([stamp.format(0.1 * k), *map(repr, map(float, values))]))
+    return "\n".join(lines) + "\n"
+
+
+def test_a_small_change_of_a_large_number_is_seen(tmp_path: Path):
+    generator = np.random.default_rng(0)
+    latitude = 48.12 + 1e-6 * generator.standard_normal(400)
+    utm = 431234.5 + 0.02 * generator.standard_normal(400)
+    model = written(rows("latitude,utm", latitude, utm), tmp_path)
+    np.testing.assert_allclose(model["NOISE"], (1e-6, 0.02), rtol=0.2)
+    np.testing.assert_array_equal(model["PLANT"].mean, (latitude[0], utm[0]))
+
+
+@pytest.mark.parametrize("unit", ["km/h", "deg", "V"])
+def test_noise_and_readings_have_the_unit_of_the_log(unit: str, tmp_path: Path):
+    generator = np.random.default_rng(0)
+    text = rows("speed", 36 + generator.standard_normal(200))
+    text = text.replace("speed\n", f"speed\ns,{unit}\n", 1)
+    model = written(text, tmp_path)
+    readings = cc.simulate(model["SCENARIO"])["readings"].values
+    assert np.nanmean(readings) == pytest.approx(36, abs=0.5)
+    assert model["NOISE"][0] == pytest.approx(1, rel=0.3)
+
+
+def test_odd_names_and_sentinels_still_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    values = 20 + 0.1 * np.sin(np.arange(60.0))
+    values[9::20] = 65535
+    text = rows('"driver\'s, own ""speed"""', values)
+    model = written(text, tmp_path, 'it\'s a "log".csv')
+    assert np.nanmax(cc.simulate(model["SCENARIO"])["readings"].values) < 21
+    assert "65535 is taken for none" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="'v' is there twice"):
+        written(rows("v,v", values, values), tmp_path)
+
+
+def test_stamps_are_no_series_and_tell_their_unit(tmp_path: Path):
+    times = ("time_gps", 0.1 * np.arange(30), {"units": "s"})
+    data = xr.Dataset({"speed": ("time_gps", np.arange(30.0))}, coords={"time_gps": times})
+    data.to_netcdf(tmp_path / "drive.nc", engine="h5netcdf")
+    texts = first_model(tmp_path / "drive.nc", tmp_path)
+    assert texts["columns.toml"].count("column =") == 1
+    text = rows("v", np.arange(30.0)).replace("time,", "timestamp,", 1)
+    lines = [text.splitlines()[0]]
+    lines += [f"{1_780_000_000_000 + 100 * k},{k}" for k in range(30)]
+    (tmp_path / "ms.csv").write_text("\n".join(lines))
+    assert 'unit = "ms"' in first_model(tmp_path / "ms.csv", tmp_path)["columns.toml"]

@@ -2,13 +2,17 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray
 
+import concord as cc
 from concord.plants.own_plant import OwnPlant
+from concord.plants.own_readings import replayed
 from concord.plants.own_sensor import OwnSensor
+from concord.plants.own_truth import sensors_of_nodes
 from concord.results.figures.summary import summarise
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
@@ -132,3 +136,71 @@ def test_without_columns_of_the_truth_the_readings_are_judged():
 def test_a_log_that_does_not_fit_is_refused(make, says: str):
     with pytest.raises(ValueError, match=says):
         make()
+
+
+UNITS_OF_36 = [
+    ("km/h", "km/h", 36.0),
+    ("m/s", "km/h", 129.6),
+    ("km/h", "m/s", 10.0),
+    ("deg", "deg", 36.0),
+    ("deg", "rad", np.pi / 5),
+    ("rad", "deg", 36 * 180 / np.pi),
+    ("g", "g", 36.0),
+    ("V", "V", 36.0),
+    ("", "km/h", 36.0),
+]
+
+
+@pytest.mark.parametrize("form", ["csv", "data set"])
+@pytest.mark.parametrize(("logged", "believed", "expected"), UNITS_OF_36)
+def test_readings_come_in_the_unit_of_their_channel(
+    form: str, logged: str, believed: str, expected: float, tmp_path: Path
+):
+    plant = cc.OwnPlant(f=lambda x: x, Q=[1.0], mean=[0.0], cov=[1.0], time_step_s=0.1)
+    sensor = cc.OwnSensor(h=lambda x: x, R=1.0, name="gps", channels=(("v", believed),))
+    source: object = tmp_path / "drive.csv"
+    if form == "csv":
+        rows = "".join(f"{0.1 * k:.1f},36\n" for k in range(5))
+        units = f"s,{logged}\n" if logged else ""
+        (tmp_path / "drive.csv").write_text(f"time,gps_v\n{units}{rows}")
+    else:
+        attributes = {"units": logged} if logged else {}
+        source = xarray.Dataset(
+            {"gps_v": ("time", np.full(5, 36.0), attributes)},
+            coords={"time": ("time", 0.1 * np.arange(5), {"units": "s"})},
+        )
+    found = replayed(plant, sensors_of_nodes(plant, [sensor]), source)
+    np.testing.assert_allclose(found.readings[:, 0, 0, 0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("logged", "believed"), [("m", "km/h"), ("mV", "V"), ("deg", "m")])
+def test_a_unit_of_another_quantity_is_refused(logged: str, believed: str):
+    plant = cc.OwnPlant(f=lambda x: x, Q=[1.0], mean=[0.0], cov=[1.0], time_step_s=0.1)
+    sensor = cc.OwnSensor(h=lambda x: x, R=1.0, name="gps", channels=(("v", believed),))
+    source = xarray.Dataset(
+        {"gps_v": ("time", np.full(5, 36.0), {"units": logged})},
+        coords={"time": ("time", 0.1 * np.arange(5), {"units": "s"})},
+    )
+    with pytest.raises(ValueError, match=f"has the unit {logged}"):
+        replayed(plant, sensors_of_nodes(plant, [sensor]), source)
+
+
+def test_a_true_sensor_of_a_node_without_one_is_refused():
+    plant = cc.OwnPlant(f=lambda x: x, Q=[1.0], mean=[0.0], cov=[1.0])
+    sensor = cc.OwnSensor(h=lambda x: x, R=1.0)
+    truth = cc.Truth(sensors=[None, cc.TrueSensor(bias=50)])
+    with pytest.raises(ValueError, match="node 1 has no sensor; give None for it"):
+        cc.own_scenario(plant, [sensor, None], truth=truth)
+    alone: Any = cc.TrueSensor(bias=1)
+    with pytest.raises(ValueError, match="must be a list with an entry for each node"):
+        cc.own_scenario(plant, [sensor, None], truth=cc.Truth(sensors=alone))
+
+
+def test_wrong_arguments_are_told_in_a_sentence():
+    plant = cc.OwnPlant(f=lambda x: x, Q=[1.0], mean=[0.0], cov=[1.0])
+    sensor = cc.OwnSensor(h=lambda x: x, R=1.0)
+    for wrong in ({}, 5, [1, 2], b"x"):
+        with pytest.raises(ValueError, match=f"^readings of type {type(wrong).__name__}: must be"):
+            cc.own_scenario(plant, [sensor], readings=wrong)
+    with pytest.raises(ValueError, match="steps 0: must be at least 1"):
+        cc.own_scenario(plant, [sensor], steps=0)

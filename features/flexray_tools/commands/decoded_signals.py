@@ -37,7 +37,9 @@ def read_described_signals(path: Path, cluster: str | None = None) -> DescribedS
         raise ClusterFileError(f"{path}: {error}") from None
 
 
-def print_signals(log: FrameLog | None, out: Path | None, description: Path | None) -> None:
+def print_signals(
+    log: FrameLog | None, out: Path | None, description: Path | None, cluster: str | None
+) -> None:
     """Write the signals of a log, and print what they are.
 
     Raises:
@@ -48,10 +50,10 @@ def print_signals(log: FrameLog | None, out: Path | None, description: Path | No
         raise ValueError(f"{given}: give both --signals FILE and --description FILE.xml")
     if log is None:
         raise ValueError(
-            f"--signals {out}: signals are read from a log of frames; write one of this recording "
-            "with --pcap first"
+            f"--signals {out}: signals are read from a log of frames (pcap, BLF, or CSV with the "
+            "columns of docs/bus.md); decode --pcap makes one of a waveform"
         )
-    described = read_described_signals(description)
+    described = read_described_signals(description, cluster)
     found = signals_of_log(log, described)
     write_signals(out, found)
     sys.stdout.writelines(f"{line}\n" for line in _lines(found, described, out))

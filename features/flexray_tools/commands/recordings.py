@@ -104,6 +104,7 @@ def decode(
     pcap: Path | None = None,
     signals: Path | None = None,
     description: Path | None = None,
+    cluster_name: str | None = None,
     json: bool = False,
 ) -> None:
     """List the frames of a recorded waveform, or of a log of frames, and check every checksum.
@@ -119,12 +120,14 @@ def decode(
         pcap: Capture file to write for Wireshark.
         signals: Series of signals to write from a log of frames: .csv, .nc or .mcap.
         description: FIBEX or AUTOSAR file that says where these signals stand.
+        cluster_name: Which cluster of a description that has several.
         json: Print one JSON object.
     """
     with user_errors():
         is_log = is_frame_log(waveform, columns)
         if signals is not None or description is not None:
-            print_signals(FrameLog(waveform, columns) if is_log else None, signals, description)
+            log = FrameLog(waveform, columns) if is_log else None
+            print_signals(log, signals, description, cluster_name)
             return
         if is_log:
             print_decoded(FrameLog(waveform, columns), pcap, json)

@@ -11,6 +11,7 @@ from concord.features.flexray_tools.signals.described_signals import (
     SignalFormat,
     coding_of,
     integer,
+    lost,
     real,
     scale_of,
     update_bit,
@@ -31,12 +32,16 @@ def _signals(root: Element) -> Callable[[str], Iterator[FoundSignal]]:
         for mapping in element.iter(f"{AR}PDU-TO-FRAME-MAPPING"):
             pdu = _referred(mapping, "PDU-REF", named)
             if pdu is None:
+                yield lost(f"PDU {mapping.findtext(f'{AR}PDU-REF', '')}", "PDU-REF")
                 continue
             start = integer(mapping, f"{AR}START-POSITION", f"PDU in frame {frame!r}")
             for one in pdu.iter(f"{AR}I-SIGNAL-TO-I-PDU-MAPPING"):
                 signal = _referred(one, "I-SIGNAL-REF", named)
+                name = one.findtext(f"{AR}SHORT-NAME", "?")
                 if signal is not None:
                     yield _found(one, signal, start // 8 * 8, named)
+                elif one.find(f"{AR}I-SIGNAL-GROUP-REF") is None:
+                    yield lost(name, "I-SIGNAL-REF")
 
     return signals_of
 

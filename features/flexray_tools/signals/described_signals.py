@@ -4,6 +4,7 @@
 is no single number (texts, arrays, several scales) is left out by name.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -31,6 +32,15 @@ from concord.features.flexray_tools.signals.coding import (
 
 class NoNumber(ValueError):
     """A signal is no single number; says why."""
+
+
+def lost(name: str, reference: str) -> "FoundSignal":
+    """Return a signal whose reference leads nowhere."""
+
+    def coding() -> Coding:
+        raise NoNumber(f"its <{reference}> leads nowhere")
+
+    return FoundSignal(name, 0, False, None, coding)
 
 
 class FoundSignal(NamedTuple):
@@ -104,39 +114,56 @@ def _placed(found: Iterator[FoundSignal], left_out: dict[str, str]) -> Iterator[
         yield PlacedSignal(one.name, one.start_bit, one.is_big_endian, coding, one.update_bit)
 
 
+class Scale(NamedTuple):
+    """The straight line of a coding, and the spans of raw numbers that it has words for."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+    words: tuple[tuple[float, float], ...] = ()
+
+
 def coding_of(
     bits: int,
     kind: NumberType,
-    scale: tuple[float, float],
+    scale: Scale,
     unit: str,
     invalid: list[tuple[float, float]],
 ) -> Coding:
-    """Return a coding with `scale` (factor, offset).
+    """Return a coding with a scale.
 
     Raises:
         NoNumber: no number has so many bits.
     """
     if not 1 <= bits <= MOST_BITS or (kind == "float" and bits not in (32, 64)):
-        raise NoNumber(f"{bits} bits are no {kind} number; at most {MOST_BITS} are")
-    return Coding(bits, kind, *scale, unit, tuple(invalid))
+        wanted = "32 or 64" if kind == "float" else f"1 to {MOST_BITS}"
+        raise NoNumber(f"it has {bits} bits, and a {kind} number {wanted}")
+    return Coding(bits, kind, scale.factor, scale.offset, unit, (*scale.words, *invalid))
 
 
-def scale_of(method: Element | None, space: str, where: str) -> tuple[float, float]:
-    """Return the factor and the offset of a COMPU-METHOD; 1 and 0 where it has none.
+def scale_of(method: Element | None, space: str, where: str) -> Scale:
+    """Return the straight line of a COMPU-METHOD; factor 1 and offset 0 where it has none.
 
     Raises:
-        NoNumber: it has several scales, or is no straight line.
+        NoNumber: it has words alone, several scales, or is no straight line.
     """
     if method is None:
-        return 1.0, 0.0
+        return Scale()
     path = f"{space}COMPU-INTERNAL-TO-PHYS/{space}COMPU-SCALES/{space}COMPU-SCALE"
+    scales = method.findall(path)
     lines = [
         coefficients
-        for scale in method.findall(path)
+        for scale in scales
         if (coefficients := scale.find(f"{space}COMPU-RATIONAL-COEFFS")) is not None
     ]
+    words = tuple(
+        span_of(scale, space, where)
+        for scale in scales
+        if scale.find(f"{space}COMPU-CONST/{space}VT") is not None
+    )
+    if not lines and words:
+        raise NoNumber("its coding is a table of words")
     if not lines:
-        return 1.0, 0.0
+        return Scale()
     if len(lines) > 1:
         raise NoNumber(f"its coding has {len(lines)} scales; one straight line is read")
     above, below = (
@@ -148,21 +175,47 @@ def scale_of(method: Element | None, space: str, where: str) -> tuple[float, flo
         raise NoNumber("its coding is no straight line")
     if len(above) < 2 or not above[1]:
         raise NoNumber("its coding gives the same number for all bits")
-    return above[1] / below[0], above[0] / below[0]
+    factor, offset = above[1] / below[0], above[0] / below[0]
+    if not (abs(factor) < _MOST and abs(offset) < _MOST):
+        raise NoNumber(f"its coding has the factor {factor:g} and the offset {offset:g}")
+    return Scale(factor, offset, words)
+
+
+def span_of(element: Element, space: str, where: str) -> tuple[float, float]:
+    """Return the first and the last raw number between the limits of an element.
+
+    Raises:
+        ClusterFileError: a limit is no number.
+    """
+    ends = []
+    for tag, end in (("LOWER-LIMIT", -math.inf), ("UPPER-LIMIT", math.inf)):
+        limit = element.find(f"{space}{tag}")
+        kind = "INFINITE" if limit is None else limit.get("INTERVAL-TYPE", "CLOSED")
+        if limit is None or kind == "INFINITE" or not (limit.text or "").strip():
+            ends.append(end)
+        else:
+            value = real(limit.text, where)
+            ends.append(math.nextafter(value, -end) if kind == "OPEN" else value)
+    return ends[0], ends[1]
 
 
 def real(text: str | None, where: str) -> float:
     """Return the number that a text says.
 
     Raises:
-        ClusterFileError: it says none.
+        ClusterFileError: it says none that is finite.
     """
     try:
-        return float(text or "")
+        value = float(text or "")
     except ValueError:
-        raise ClusterFileError(f"{where}: {(text or '')[:40]!r} must be a number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ClusterFileError(f"{where}: {(text or '')[:40]!r} must be a number")
+    return value
 
 
+# No number of a signal becomes infinite: raw ones have 64 bits.
+_MOST = 1e280
 # Longer than every payload, so that a number of the file asks for no memory.
 _MOST_POSITION = 1 << 20
 
@@ -176,8 +229,9 @@ def integer(element: Element, tag: str, where: str) -> int:
     value = number(element, tag, int, where)
     if value is None or not 0 <= value < _MOST_POSITION:
         name = tag.rpartition("}")[2]
+        said = "missing" if value is None else value
         raise ClusterFileError(
-            f"{where}: element <{name}> is {value}; it must be from 0 to {_MOST_POSITION - 1}"
+            f"{where}: element <{name}> is {said}; it must be from 0 to {_MOST_POSITION - 1}"
         )
     return value
 

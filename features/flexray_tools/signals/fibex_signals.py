@@ -11,8 +11,9 @@ from concord.features.flexray_tools.signals.described_signals import (
     SignalFormat,
     coding_of,
     integer,
-    real,
+    lost,
     scale_of,
+    span_of,
     update_bit,
 )
 
@@ -29,7 +30,9 @@ def _signals(root: Element) -> Callable[[str], Iterator[FoundSignal]]:
         yield from _instances(element, 0, named)
         for instance in element.iter(f"{FX}PDU-INSTANCE"):
             pdu = named.get(_reference(instance, "PDU-REF"))
-            if pdu is not None:
+            if pdu is None:
+                yield lost(f"PDU {_reference(instance, 'PDU-REF')}", "PDU-REF")
+            else:
                 where = f"PDU instance in frame {frame!r}"
                 yield from _instances(
                     pdu, integer(instance, f"{FX}BIT-POSITION", where) // 8 * 8, named
@@ -43,6 +46,7 @@ def _instances(owner: Element, before: int, named: dict[str, Element]) -> Iterat
     for instance in owner.findall(f"{FX}SIGNAL-INSTANCES/{FX}SIGNAL-INSTANCE"):
         signal = named.get(_reference(instance, "SIGNAL-REF"))
         if signal is None:
+            yield lost(_reference(instance, "SIGNAL-REF"), "SIGNAL-REF")
             continue
         name = signal.findtext(f"{HO}SHORT-NAME", "").strip() or signal.get("ID", "?")
         where = f"signal {name!r}"
@@ -87,10 +91,7 @@ def _coding(signal: Element, name: str, named: dict[str, Element]) -> Coding:
 def _invalid(coding: Element, where: str) -> list[tuple[float, float]]:
     """The spans of raw numbers that are not valid."""
     return [
-        (
-            real(one.findtext(f"{HO}LOWER-LIMIT") or "-inf", where),
-            real(one.findtext(f"{HO}UPPER-LIMIT") or "inf", where),
-        )
+        span_of(one, HO, where)
         for constraints in coding.iter(f"{HO}INTERNAL-CONSTRS")
         for one in constraints.iter(f"{HO}SCALE-CONSTR")
         if one.get("VALIDITY", "VALID") != "VALID"

@@ -1,5 +1,8 @@
 """The signals in a log of frames, as series with stamps, and the files that hold these."""
 
+import csv
+import itertools
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +21,7 @@ from concord.features.flexray_tools.signals.coding import (
 
 # A frame that is sent on both channels comes twice within so short a time.
 _BOTH_CHANNELS_NS = 100_000
+_TIME = "time"
 
 
 class FrameSeries(NamedTuple):
@@ -60,37 +64,46 @@ def signals_of_log(log: FrameLog, described: DescribedSignals) -> SignalLog:
     Raises:
         ValueError: the log cannot be read, or none of the frames is there.
     """
-    found: list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]] = [
-        [] for _ in described.frames
-    ]
     invalid, stale, short = Counter[str](), Counter[str](), Counter[str]()
-    unique = _unique_names(described)
+    # A frame that is sent in several slots is one.
+    names = _unique_names(described)
+    found = {key: list[tuple[NDArray[np.float64], NDArray[np.float64]]]() for key in names}
     for block in log.blocks():
         usable = block.of(block.sure & (block.flags & NULL == 0))
-        for place, frame in enumerate(described.frames):
+        for frame in described.frames:
+            key = frame.name, frame.signals
             rows = _rows_of(usable, frame, short)
             if len(rows.start):
-                values = _values(rows, frame, unique[place], invalid, stale)
-                found[place].append((rows.time_ns / 1e9, values))
-    series = tuple(
-        FrameSeries(
-            frame.name,
-            np.concatenate([times for times, _ in parts]),
-            unique[place],
-            tuple(one.coding.unit for one in frame.signals),
-            np.concatenate([values for _, values in parts]),
-        )
-        for place, (frame, parts) in enumerate(zip(described.frames, found, strict=True))
-        if parts
-    )
-    silent = tuple(f.name for f, parts in zip(described.frames, found, strict=True) if not parts)
+                values = _values(rows, frame, names[key], invalid, stale)
+                found[key].append((rows.time_ns / 1e9, values))
+    series = tuple(_series(key, names[key], parts) for key, parts in found.items() if parts)
+    silent = tuple(key[0] for key, parts in found.items() if not parts and key[0] not in short)
     if not series:
         ids = ", ".join(str(one.frame_id) for one in described.frames[:9])
+        cut = f"; {sum(short.values())} of them have too short a payload" if short else ""
         raise ValueError(
-            f"{log.path}: none of the frames with signals came (IDs {ids}); give the description "
-            "of this bus"
+            f"{log.path}: none of the frames with signals came (IDs {ids}){cut}; give the "
+            "description of this bus"
         )
     return SignalLog(series, dict(invalid), dict(stale), dict(short), silent)
+
+
+_Key = tuple[str, tuple[PlacedSignal, ...]]
+
+
+def _series(
+    key: _Key, names: tuple[str, ...], parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> FrameSeries:
+    """The series of a frame, in the order of its stamps."""
+    time_s = np.concatenate([times for times, _ in parts])
+    order = np.argsort(time_s, kind="stable")
+    return FrameSeries(
+        key[0],
+        time_s[order],
+        names,
+        tuple(one.coding.unit for one in key[1]),
+        np.concatenate([values for _, values in parts])[order],
+    )
 
 
 def _rows_of(block: FrameBlock, frame: FrameSignals, short: Counter[str]) -> FrameBlock:
@@ -132,14 +145,33 @@ def _values(
     return values
 
 
-def _unique_names(described: DescribedSignals) -> list[tuple[str, ...]]:
-    """The names of the signals of each frame; one that is there again begins with its frame."""
-    used = Counter(one.name for frame in described.frames for one in frame.signals)
+def _unique_names(described: DescribedSignals) -> dict[_Key, tuple[str, ...]]:
+    """The names of the signals of each frame; one that is there again begins with its frame, and
+    ends with a number where that is there again too.
 
-    def named(frame: FrameSignals, one: PlacedSignal) -> str:
-        return one.name if used[one.name] == 1 else f"{frame.name}_{one.name}"
+    Letters, digits, points and lines alone: names of columns, variables and topics.
+    """
+    frames = dict.fromkeys((frame.name, frame.signals) for frame in described.frames)
+    used = Counter(_plain(one.name) for _, signals in frames for one in signals)
+    taken = set[str]()
 
-    return [tuple(named(frame, one) for one in frame.signals) for frame in described.frames]
+    def named(frame: str, signal: str) -> str:
+        own = f"{_plain(frame)}_{signal}"
+        is_clear = used[signal] == 1 and not signal.lower().startswith(_TIME)
+        wanted = signal if is_clear else own
+        several = (f"{own}_{number}" for number in itertools.count(2))
+        name = next(one for one in itertools.chain((wanted,), several) if one not in taken)
+        taken.add(name)
+        return name
+
+    return {
+        (frame, signals): tuple(named(frame, _plain(one.name)) for one in signals)
+        for frame, signals in frames
+    }
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w.\[\]-]+", "_", name)
 
 
 def write_signals(path: Path, log: SignalLog) -> None:
@@ -157,10 +189,18 @@ def write_signals(path: Path, log: SignalLog) -> None:
         raise ValueError(f"--signals {path}: must end in .csv, .nc or .mcap")
     if path.exists():
         raise ValueError(f"--signals {path}: exists; name another file")
+    if not path.parent.is_dir():
+        raise ValueError(f"--signals {path}: there is no folder {path.parent}; make it first")
+    # A file under another name until it is complete.
+    unfinished = path.with_name(f".{path.name}.unfinished")
     try:
-        write(path, log)
-    except OSError as error:
-        raise ValueError(f"--signals {path}: cannot be written ({error.strerror})") from None
+        write(unfinished, log)
+        unfinished.rename(path)
+    except (OSError, RuntimeError) as error:
+        why = str(error).partition("\n")[0][:200]
+        raise ValueError(f"--signals {path}: cannot be written ({why})") from None
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def _write_csv(path: Path, log: SignalLog) -> None:
@@ -168,14 +208,15 @@ def _write_csv(path: Path, log: SignalLog) -> None:
     columns = [(place, one) for place, one in enumerate(log.series) for _ in one.names]
     names = [name for one in log.series for name in one.names]
     units = [unit for one in log.series for unit in one.units]
-    with path.open("w", encoding="utf-8") as file:
-        file.write(",".join(["time", *names]) + "\n")
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow([_TIME, *names])
         if any(units):
-            file.write(",".join(["s", *(unit or "1" for unit in units)]) + "\n")
+            rows.writerow(["s", *units])
         for time_s, place, values in _in_order(log):
             own = iter(values)
             cells = [_text(next(own)) if number == place else "" for number, _ in columns]
-            file.write(f"{time_s:.9f},{','.join(cells)}\n")
+            rows.writerow([f"{time_s:.9f}", *cells])
 
 
 def _in_order(log: SignalLog) -> Iterator[tuple[float, int, list[float]]]:
@@ -196,7 +237,7 @@ def _write_netcdf(path: Path, log: SignalLog) -> None:
 
     variables, times = {}, {}
     for one in log.series:
-        dimension = f"time of {one.name}"
+        dimension = f"{_TIME}_{_plain(one.name)}"
         times[dimension] = ((dimension,), one.time_s, {"units": "s"})
         for name, unit, values in zip(one.names, one.units, one.values.T, strict=True):
             variables[name] = ((dimension,), values, {"units": unit})
@@ -211,6 +252,8 @@ def _write_mcap(path: Path, log: SignalLog) -> None:
             f"--signals {path}: MCAP needs mcap-ros2-support, which is not installed; run `make "
             "extras`, or `pip install '.[logs]'` in a checkout of concord"
         ) from None
+    if min(one.time_s[0] for one in log.series) < 0:
+        raise ValueError("--signals: MCAP has no stamps before 0; write .csv or .nc")
     with path.open("wb") as file:
         writer = Writer(file)
         number = writer.register_msgdef("std_msgs/msg/Float64", "float64 data")

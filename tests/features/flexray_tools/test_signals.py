@@ -17,8 +17,12 @@ from concord.features.flexray_tools.files.arxml import cluster_to_arxml
 from concord.features.flexray_tools.files.fibex import cluster_to_fibex
 from concord.features.flexray_tools.files.xml_document import ClusterFileError
 from concord.features.flexray_tools.frame_logs.log_files import FrameLog
-from concord.features.flexray_tools.signals.coding import Coding, PlacedSignal
-from concord.features.flexray_tools.signals.signal_log import signals_of_log, write_signals
+from concord.features.flexray_tools.signals.coding import Coding, DescribedSignals, PlacedSignal
+from concord.features.flexray_tools.signals.signal_log import (
+    SignalLog,
+    signals_of_log,
+    write_signals,
+)
 from concord.plants.recorded.log_files import open_log
 from tests.experiments.command_support import concord, refused
 
@@ -390,3 +394,114 @@ def test_the_command_says_what_it_needs_and_found(log: Path, capsys: pytest.Capt
     said = refused(concord(capsys, *decode, "--signals", other, "--description", described))
     assert "none of the frames with signals came (IDs 3, 5)" in said
     assert not other.exists()
+
+
+def in_document(text: str, *changes: tuple[str, str]) -> str:
+    for old, new in changes:
+        assert text.count(old) >= 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def part(text: str, first: str, end: str) -> str:
+    at = text.index(first)
+    return text[at : text.index(end, at)]
+
+
+def read(log: Path, text: str) -> tuple[DescribedSignals, SignalLog]:
+    described = log.with_name("bus.xml")
+    described.write_text(text)
+    return read_described_signals(described), signals_of_log(
+        FrameLog(log), read_described_signals(described)
+    )
+
+
+def test_a_frame_in_several_slots_is_one_series_and_names_are_unique(log: Path):
+    three, five = (frame_ids(SLOTS)[one] for one in (3, 5))
+    twice = in_document(
+        fibex(), (f'<fx:FRAME-REF ID-REF="{three}"/>', f'<fx:FRAME-REF ID-REF="{five}"/>')
+    )
+    _, found = read(log, twice)
+    (series,) = found.series
+    assert series.names == ("level", "counter") and (np.diff(series.time_s) >= 0).all()
+    # A PDU that is there twice in a frame.
+    instance = fibex()[
+        (at := fibex().index("<fx:PDU-INSTANCE>")) : fibex().index("</fx:PDU-INSTANCES>", at)
+    ]
+    _, found = read(log, in_document(fibex(), (instance, instance * 2)))
+    names = [name for one in found.series for name in one.names]
+    assert len(set(names)) == len(names) == 8
+    # Names that no column, variable or topic can have.
+    odd = in_document(
+        fibex(),
+        ("<ho:SHORT-NAME>speed<", "<ho:SHORT-NAME>a,b/c d<"),
+        ("<ho:SHORT-NAME>torque<", "<ho:SHORT-NAME>time<"),
+    )
+    _, found = read(log, odd)
+    assert found.series[0].names[:2] == ("a_b_c_d", f"{three}_time")
+
+
+def test_words_beside_a_line_are_no_numbers_and_open_limits_are_outside(log: Path):
+    scale = "<ho:COMPU-SCALE><ho:COMPU-RATIONAL-COEFFS>"
+    words = (
+        '<ho:COMPU-SCALE><ho:LOWER-LIMIT INTERVAL-TYPE="OPEN">65530</ho:LOWER-LIMIT>'
+        "<ho:UPPER-LIMIT>65535</ho:UPPER-LIMIT><ho:COMPU-CONST><ho:VT>SNA</ho:VT></ho:COMPU-CONST>"
+        "</ho:COMPU-SCALE>"
+    )
+    described, _ = read(log, in_document(fibex(), (scale, words + scale)))
+    (low, high), *_ = described.frames[0].signals[0].coding.invalid
+    assert 65530 < low < 65530.001 and high == 65535
+    coding = described.frames[0].signals[0].coding
+    payloads = np.array([[*value.to_bytes(2, "little")] for value in (65530, 65531)], np.uint8)
+    values = PlacedSignal("x", 0, False, coding).values(payloads)
+    assert values[0] == (2 * 65530 - 5) / 4 and np.isnan(values[1])
+    # Words alone, and coefficients that no number survives.
+    rational = fibex()[
+        (at := fibex().index("<ho:COMPU-RATIONAL-COEFFS>")) : fibex().index("</ho:COMPU-SCALE>", at)
+    ]
+    for change, why in (
+        ((rational, "<ho:COMPU-CONST><ho:VT>on</ho:VT></ho:COMPU-CONST>"), "a table of words"),
+        (("<ho:V>4.0</ho:V>", "<ho:V>1e-320</ho:V>"), "the factor inf"),
+        (('<fx:CODING-REF ID-REF="cspeed3"/>', '<fx:CODING-REF ID-REF="gone"/>'), "no coding"),
+    ):
+        described, _ = read(log, in_document(fibex(), change))
+        assert why in described.left_out["speed"]
+    described, _ = read(
+        log,
+        in_document(fibex(), ('<fx:SIGNAL-REF ID-REF="speed3"/>', '<fx:SIGNAL-REF ID-REF="x"/>')),
+    )
+    assert described.left_out == {"x": "its <SIGNAL-REF> leads nowhere"}
+
+
+def test_a_file_that_fails_leaves_nothing_behind(log: Path, monkeypatch: pytest.MonkeyPatch):
+    _, found = read(log, fibex())
+    early = found._replace(
+        series=tuple(one._replace(time_s=one.time_s - 1) for one in found.series)
+    )
+    with pytest.raises(ValueError, match="no stamps before 0"):
+        write_signals(log.with_name("x.mcap"), early)
+    with pytest.raises(ValueError, match="there is no folder"):
+        write_signals(log.parent / "gone" / "x.nc", found)
+    monkeypatch.setattr(Path, "rename", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
+    for ending in ("csv", "nc"):
+        with pytest.raises(ValueError, match="cannot be written"):
+            write_signals(log.with_name(f"x.{ending}"), found)
+    assert {one.name for one in log.parent.iterdir()} == {"frames.csv", "bus.xml"}
+
+
+def test_a_table_of_signals_is_read_again_where_some_have_no_unit(log: Path):
+    text = in_document(
+        fibex(),
+        (
+            "<fx:PROCESSING-INFORMATION>",
+            '<fx:PROCESSING-INFORMATION><ho:UNIT-SPEC><ho:UNIT ID="u">'
+            "<ho:DISPLAY-NAME>m/s</ho:DISPLAY-NAME></ho:UNIT></ho:UNIT-SPEC>",
+        ),
+    )
+    at = text.index("<ho:CATEGORY>LINEAR</ho:CATEGORY>")
+    text = text[:at] + '<ho:UNIT-REF ID-REF="u"/>' + text[at:]
+    _, found = read(log, text)
+    write_signals(path := log.with_name("drive.csv"), found)
+    file = open_log(path)
+    assert file.unit("speed") == "m/s" and file.unit("torque") is None
+    assert np.isfinite(file.series("speed")).any()
