@@ -83,7 +83,7 @@ def test_series_that_are_left_out_stand_in_the_columns(tmp_path: Path):
 
 
 def written(text: str, folder: Path, name: str = "drive.csv") -> dict:
-    """What the model of a log defines; its folder holds the columns."""
+    """The names that the model of a log defines; its folder holds the columns."""
     (folder / name).write_text(text)
     texts = first_model(folder / name, folder)
     (folder / "columns.toml").write_text(texts["columns.toml"])
