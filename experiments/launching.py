@@ -3,6 +3,7 @@
 Reason for a file of its own: it starts processes, which other functions of Python do without.
 """
 
+from functools import partial
 from pathlib import Path
 
 from concord.experiments.page_process import PageProcess
@@ -29,8 +30,9 @@ def launched(setup: Setup, out: Path | None, dashboard: bool) -> Path:
     write_description(folder, description)
     page = PageProcess(_HTTP_PORT)
     try:
-        on_step = page.beside(folder, lambda _: None) if dashboard else lambda _: None
-        over_processes(setup, name, folder / RECORDING, None, on_step, begins_paused=dashboard)
+        on_paused = partial(page.start, folder) if dashboard else None
+        recording = folder / RECORDING
+        over_processes(setup, name, recording, None, lambda _: None, on_paused=on_paused)
     finally:
         page.close()
     trace = completed(folder, description)

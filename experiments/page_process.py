@@ -11,7 +11,7 @@ import secrets
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,20 +39,8 @@ class PageProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._asks_again: queue.Queue[bool] = queue.Queue()
 
-    def beside(self, folder: Path, on_step: Callable[[int], None]) -> Callable[[int], None]:
-        """`on_step`, which at its first call also starts the page of the run in this folder."""
-        is_started = False
-
-        def told(step: int) -> None:
-            nonlocal is_started
-            if not is_started:
-                is_started = True
-                self._start(folder)
-            on_step(step)
-
-        return told
-
-    def _start(self, folder: Path) -> None:
+    def start(self, folder: Path) -> None:
+        """Start the page of the run in this folder, whose network is ready and paused."""
         # The page of the run before has stayed until now.
         self.close()
         place = ("--folder", str(folder), "--http-port", str(self._http_port), *self._public)

@@ -84,10 +84,11 @@ def over_processes(
     port: int | None,
     on_step: Callable[[int], None],
     tempo: Tempo | None = None,
-    begins_paused: bool = False,
+    on_paused: Callable[[], None] | None = None,
 ) -> RunPace:
     """One operating-system process per node, messages over zenoh, in lockstep; with a
-    `tempo` in real time. In lockstep, a network that `begins_paused` waits for a command.
+    `tempo` in real time. In lockstep, a network with `on_paused` waits for a command before its
+    first step; it is called when the network is ready for one.
 
     Raises:
         NetworkFailed: a process died.
@@ -101,6 +102,8 @@ def over_processes(
         match happened.what:
             case "ready":
                 ready_s = happened.seconds
+                if on_paused is not None:
+                    on_paused()
             case "step":
                 last_s = happened.seconds
                 on_step(happened.step)
@@ -112,7 +115,7 @@ def over_processes(
     # Only here: a run in process starts none.
     from concord.runtime.processes.launcher import run_processes
 
-    run_processes(setup, run, recording, port, on_event, tempo, begins_paused)
+    run_processes(setup, run, recording, port, on_event, tempo, on_paused is not None)
     return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s, repeated)
 
 

@@ -153,8 +153,7 @@ def _watched(
         with shown as on_step, user_errors():
             driver = DRIVERS.get(output.driver, partial(over_processes, tempo=tempo))
             if output.dashboard:
-                driver = partial(over_processes, begins_paused=True)
-                on_step = page.beside(folder, on_step)
+                driver = partial(over_processes, on_paused=partial(page.start, folder))
             pace = driver(setup, name, folder / RECORDING, output.port, on_step)
             page.tell_end()
             if output.dashboard:
