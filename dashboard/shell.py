@@ -71,27 +71,12 @@ const ask=()=>fetch('/alive',{cache:'no-store',signal:AbortSignal.timeout(4000)}
   error=>{wasGone||=error.name==='TypeError'}).then(()=>{
   if(Date.now()-heard>8000){gone.hidden=false;gone.textContent=since()}});
 setInterval(look,400);setInterval(ask,1500);
-// Marks of a picture are one stop of Tab; arrows go from mark to mark.
-let roved='';
-const among=(box,at,turn)=>{
-  const marks=[...box.querySelectorAll('[data-node][tabindex]')],place=marks.indexOf(at);
-  return marks[Math.max(0,Math.min(marks.length-1,at===box?0:place+turn))]};
 document.addEventListener('keydown',e=>{
-  const at=e.target.closest?.('[data-node][tabindex],[data-roving]');
-  if(!at)return;
-  const box=at.closest('[data-roving]'),turn={ArrowRight:1,ArrowLeft:-1}[e.key];
-  if(box&&turn)among(box,at,turn)?.focus();
-  else if(at.dataset.node&&(e.key==='Enter'||e.key===' '))
-    at.dispatchEvent(new PointerEvent('pointerdown',{bubbles:true}));
-  else return;
-  e.preventDefault();e.stopPropagation();
-},true);
-document.addEventListener('focusin',e=>{
-  const at=e.target.closest?.('[data-node][tabindex]'),box=at?.closest('[data-testid]');
-  roved=box?`[data-testid="${box.dataset.testid}"] [data-node="${at.dataset.node}"]`:''});
-// A picture that is drawn anew keeps the focus on the same mark.
-setInterval(()=>{if(roved&&document.activeElement===document.body)
-  document.querySelector(roved)?.focus({preventScroll:true})},200);
+  const at=e.target.closest?.('[data-node][tabindex]');
+  if(!at||(e.key!=='Enter'&&e.key!==' '))return;
+  e.preventDefault();
+  at.dispatchEvent(new PointerEvent('pointerdown',{bubbles:true}));
+});
 })()</script>"""
 
 SHELL = (

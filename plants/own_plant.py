@@ -45,7 +45,7 @@ class OwnPlant:
         angles: states that are angles in rad. f and h get them within (-pi, pi], and f may return
             them on any turn. Recorded states count turns, so that they have no jumps.
         parameters: value, least and largest, (value, low, high), of what f, dynamics and the h of
-            sensors take by keyword, as mass in f(x, u, *, mass); `concord identify` seeks them.
+            sensors take by keyword, as in f(x, u, mass=1.0); `concord identify` seeks them.
 
     Raises:
         ValueError: shapes that do not fit, inputs that the function does not take, a matrix that

@@ -53,8 +53,7 @@ class TimelineView:
         axis = Axis(max(one.bus.segments()[-1].end_us for one in (cycle, *past)))
         height = TOP + BAR + 12 + ROW * RASTER_ROWS + 4
         parts = [
-            '<svg data-testid="timeline" data-roving="" tabindex="0" '
-            f'viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
+            f'<svg data-testid="timeline" viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
             f'style="display:block;font-family:inherit" preserveAspectRatio="xMidYMin meet">',
             f"<style>.slot{{cursor:pointer}}.slot:hover rect{{stroke:{css(theme.text)};"
             f"stroke-width:2}}</style>",

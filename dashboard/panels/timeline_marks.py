@@ -97,7 +97,7 @@ def slot(
             f'fill="{css(theme.down)}"/>'
         )
     return (
-        f'<g class="slot" tabindex="-1" data-node="{frame.node}"><title>node {escape(name)}: frame '
+        f'<g class="slot" data-node="{frame.node}"><title>node {escape(name)}: frame '
         f"{frame.frame_id}, channel {frame.channel}, {frame.payload_bytes} bytes, "
         f"{frame.start_us:.1f} to {frame.end_us:.1f} us{note}</title>"
         f'<rect x="{x:.1f}" y="{top:g}" width="{wide:.1f}" height="{high:g}" rx="1.5" '
@@ -122,8 +122,7 @@ def silent_slot(
     middle, y = x + wide / 2, TOP + BAR / 2
     arm = min(4.0, wide / 3)
     return (
-        f'<g class="slot" tabindex="-1" data-node="{node}">'
-        f"<title>node {escape(name)}: silent</title>"
+        f'<g class="slot" data-node="{node}"><title>node {escape(name)}: silent</title>'
         f'<rect x="{x + 1:.1f}" y="{TOP + 3:g}" width="{max(wide - 2, 0.8):.1f}" '
         f'height="{BAR - 6:g}" fill="{css(theme.panel)}" stroke="{css(theme.down)}" '
         f'stroke-width="1.5"/><path d="M{middle - arm:.1f} {y - arm:g}l{2 * arm:.1f} '

@@ -102,24 +102,6 @@ def test_a_row_is_selected_by_the_keyboard(page: Page):
     page.until(lambda: page.dashboard.view.selected is None)
 
 
-def test_slots_are_reached_by_the_keyboard(page: Page):
-    keyboard = page.page.keyboard
-    page.dashboard.inputs.alter(lambda view: view.look_at(20))
-    page.until(lambda: page.page.locator('[data-testid="timeline"] .slot').count() > 2)
-    slots = page.page.locator('[data-testid="timeline"] .slot')
-    nodes = [int(slots.nth(place).get_attribute("data-node")) for place in range(2)]
-    page.page.get_by_test_id("timeline").focus()
-    for node in nodes:
-        keyboard.press("ArrowRight")
-        # The picture is drawn anew, and the focus stays with its mark.
-        focused = f'document.activeElement.dataset.node === "{node}"'
-        page.until(lambda focused=focused: page.page.evaluate(focused))
-        keyboard.press("Enter")
-        page.until(lambda node=node: page.dashboard.view.selected == node)
-    assert page.dashboard.view.playing is False
-    page.key("x")
-
-
 def test_a_page_without_its_program_says_so(page: Page):
     gone = page.page.locator("#concord-gone")
     assert not gone.is_visible()

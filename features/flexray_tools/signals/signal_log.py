@@ -25,14 +25,8 @@ _TIME = "time"
 
 
 class FrameSeries(NamedTuple):
-    """The signals of one frame in a log.
-
-    Attributes:
-        name: of the frame.
-        time_s: (n,) stamps of its frames, of the log.
-        names, units: of its signals.
-        values: (n, signals), NaN for none.
-    """
+    """The signals of one frame in a log: its name, the stamps (n,) of the log in s, the names and
+    units of its signals, and their values (n, signals), NaN for none."""
 
     name: str
     time_s: NDArray[np.float64]
@@ -42,13 +36,10 @@ class FrameSeries(NamedTuple):
 
 
 class SignalLog(NamedTuple):
-    """The series of a log.
+    """The series of each frame of a log that came; `silent` are the frames that never did.
 
-    Attributes:
-        series: of each frame that came.
-        invalid, stale: by signal, how many numbers say that they are none, or were not sent anew.
-        short: by frame, how many had too short a payload.
-        silent: frames that never came.
+    By signal, how many numbers are `invalid`, or `stale`, as they were not sent anew; by frame, how
+    many had too `short` a payload.
     """
 
     series: tuple[FrameSeries, ...]
