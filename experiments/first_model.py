@@ -3,8 +3,6 @@
 Each series is a state that drifts by itself, read by a node of its own. The noise follows from the
 differences of readings. Of a random walk with increments of variance Q, read with variance R, those
 of readings m apart have the mean square m Q + 2 R.
-
-Reason for a file of its own: it writes texts, where `concord new` writes folders.
 """
 
 import json

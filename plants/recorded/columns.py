@@ -179,11 +179,17 @@ def _channel(
     early = int((np.diff(stamps_s[read]) < 0).sum())
     notes = [f"{repeated} equal readings of one stamp came again, and count once"] * (repeated > 0)
     sorted_by = f"{early} readings have an earlier stamp than the one before; sorted by stamps"
-    absent = f"{int(missing.sum())} readings say that there is none, and are left out"
-    if (column.not_available or default.not_available) and not missing.any():
-        absent = "no reading is one of not_available"
-    told = bool(missing.any() or column.not_available or default.not_available)
-    return channel, notes + [sorted_by] * (early > 0) + [absent] * told
+    notes += [sorted_by] * (early > 0)
+    if missing.any():
+        notes.append(f"{int(missing.sum())} readings say that there is none, and are left out")
+    elif _said_not_available(column, default):
+        notes.append("no reading is one of not_available")
+    return channel, notes
+
+
+def _said_not_available(column: Column, default: LogMap) -> tuple[float, ...] | None:
+    """The numbers that stand for none by the column, or else by the map; None where none says."""
+    return default.not_available if column.not_available is None else column.not_available
 
 
 def _not_available(
@@ -194,7 +200,7 @@ def _not_available(
     Raises:
         ValueError: the map does not say, and a number is there that often does.
     """
-    said = default.not_available if column.not_available is None else column.not_available
+    said = _said_not_available(column, default)
     if said is not None:
         # A number of a file may have fewer digits than that of the map.
         near = np.isclose(numbers[:, None], np.array(said, dtype=float), rtol=1e-8, atol=0.0)
