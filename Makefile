@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots paper-tables demo test test-slow test-all check format bench bench-compare laboratory stories docs pictures lock clean
+.PHONY: browser extras screenshots paper-tables demo test test-slow test-all studies check format bench bench-compare laboratory stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --driver processes
@@ -15,7 +15,7 @@ demo: .venv/run.stamp
 PYTEST := env -u PYTHONDONTWRITEBYTECODE PYTHONPYCACHEPREFIX=$(CURDIR)/build/pycache \
 	$(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 LONG_WORKERS := $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
-LONG := slow or zenoh or browser
+LONG := slow or zenoh or browser or study
 
 test: .venv/dev.stamp
 	$(PYTEST) -n auto -m "not ($(LONG))"
@@ -36,12 +36,16 @@ paper-tables: .venv/dev.stamp
 	$(BIN)/python -m docs.paper_tables build/papers/*
 
 test-slow: .venv/dev.stamp
-	$(PYTEST) -n $(LONG_WORKERS) -m "$(LONG)"
+	$(PYTEST) -n $(LONG_WORKERS) -m "($(LONG)) and not study"
+
+# The longest tests: statistics of many runs, whole papers, fits of a car to its drives.
+studies: .venv/dev.stamp
+	$(PYTEST) -n auto -m study
 
 # The optional parts of concord, and the tools of its developers.
 extras: .venv/dev.stamp
 
-# Every test: `make test` first, then the slow ones.
+# Every test but the studies: `make test` first, then the slow ones.
 test-all: test test-slow
 
 check: .venv/dev.stamp

@@ -25,6 +25,7 @@ BENCHMARKS = {
     "lockstep": "lockstep",
     "ladder": "ladder",
     "workers": "workers",
+    "commands": "commands",
     "set-membership": "set_membership",
     "dashboard": "dashboard",
 }

@@ -77,7 +77,7 @@ class PageServer:
             dark_mode=theme.dark,
             show_logo=False,
             show_share_button=False,
-            brand_color=(0, 114, 178),
+            brand_color=(62, 150, 214) if theme.dark else (0, 114, 178),
         )
 
     def aim(self, scene: Scene, panels: Panels) -> None:

@@ -22,7 +22,7 @@ rear_stiffness_n_rad = 120e3
 """
 
 
-def signals(duration_s: float = 3.0, seed: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def signals(duration_s: float = 2.0, seed: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Drive a slalom at 20 m/s; return stamps in s and noisy readings of each sensor."""
     step_s, speed = 1e-4, 20.0
     times_s = np.arange(0.0, duration_s, step_s)

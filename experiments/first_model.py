@@ -26,6 +26,7 @@ from concord.plants.recorded.log_file import LogFile
 from concord.plants.recorded.log_files import open_log
 
 _MOST_SERIES = 12
+_MOST_REASONS = 4
 _APART = 10
 _TIMES = {
     **dict.fromkeys(("time", "t", "timestamp", "stamp"), None),
@@ -111,9 +112,11 @@ def first_model(log: Path, folder: Path) -> dict[str, str]:
         except ValueError as why:
             left[column] = str(why)
     if not found:
-        why = "; ".join(f"{name}: {reason}" for name, reason in left.items())
+        reasons = [f"{name}: {reason}" for name, reason in left.items()]
+        more = [f"and {len(reasons) - _MOST_REASONS} more"] if reasons[_MOST_REASONS:] else []
+        why = "; ".join(reasons[:_MOST_REASONS] + more)
         raise ValueError(
-            f"{log}: no series of numbers with stamps ({why[:300] or 'the file has none'}); name "
+            f"{log}: no series of numbers with stamps ({why or 'the file has none'}); name "
             "the column of the stamps time"
         )
     for name, why in left.items():
@@ -149,12 +152,15 @@ def _series(
     default = OneSeries(file=log.name, time=time)
     absent = stands_for_none(file.series(column))
     if absent:
-        sys.stderr.write(f"{column}: {absent[0]:.12g} is taken for none (not_available)\n")
+        values = " and ".join(f"{value:.12g}" for value in absent)
+        sys.stderr.write(f"{column}: {values} is taken for none (not_available)\n")
     known = {"value": Column(column=column, not_available=absent)}
     channel = read_channels(log.parent, known, default, {log.parent / log.name: file})["value"]
     if len(channel.values) < 3:
         raise ValueError(f"it has {len(channel.values)} readings")
     changes = np.abs(np.diff(channel.values))
+    if not changes.any():
+        raise ValueError(f"all its readings are {channel.values[0]:g}")
     # Below a quarter of the smallest change, a reading says nothing.
     smallest = float(changes[changes > 0].min(initial=np.inf))
     size = max(float(np.abs(channel.values).max()), 1e-6)
@@ -198,7 +204,7 @@ def _columns(place: str, time: Stamps | None, found: list[_Series], left: dict[s
     for one in found:
         unit = f", unit = {_quoted(one.unit)}" if one.unit else ""
         key = _quoted(f"{one.name} value")
-        absent = "".join(f", not_available = [{value!r}]" for value in one.not_available)
+        absent = f", not_available = {[*one.not_available]}" if one.not_available else ""
         lines.append(f"{key} = {{ column = {_quoted(one.column)}{unit}{absent} }}")
     lines += [f"# {name}: {' '.join(why.split())}" for name, why in left.items()]
     return "\n".join(lines) + "\n"

@@ -22,7 +22,7 @@ import numpy as np
 from concord.dashboard.frames.expected import Expected, nothing_expected
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.interpreter import fresh_command, fresh_variables
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import definition_of, is_received
 from concord.scenarios.rule_table.rules import is_set_valued
 from concord.scenarios.setup import Setup
 from concord.studies.priority import give_way
@@ -96,6 +96,9 @@ class OtherRuns:
         self._told: NeesRange | None = None
         self._process: subprocess.Popen[bytes] | None = None
         scenario = setup.scenario
+        # More runs of an own scenario would run its code.
+        if is_received(scenario):
+            return
         in_messages = without_array_form(scenario) is not None
         too_long = in_messages and scenario.nodes * scenario.steps > _MOST_NODE_STEPS
         if is_set_valued(scenario) or too_long:

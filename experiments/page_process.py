@@ -3,7 +3,8 @@
 The network begins paused and waits for the first user of the page, for a limited time, so that
 the user sees the beginning. The launcher writes the token of the page to its standard input, and
 `RUN_IS_OVER` when the run is over, or `NETWORK_IS_GONE`. The page writes its port to its standard
-output, and `RUN_AGAIN` when the user presses that button.
+output, `NETWORK_RUNS` when it has resumed the network, and `RUN_AGAIN` when the user presses that
+button. The launcher resumes the network of a page that ends before.
 """
 
 import queue
@@ -12,12 +13,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from concord.runtime.interpreter import fresh_command, fresh_variables
 
-RUN_IS_OVER, NETWORK_IS_GONE, RUN_AGAIN = b"over\n", b"gone\n", b"again\n"
+RUN_IS_OVER, NETWORK_IS_GONE = b"over\n", b"gone\n"
+NETWORK_RUNS, RUN_AGAIN = b"runs\n", b"again\n"
 PORT = b"port "
 _END_S = 5.0
 # A launcher whose terminal nobody looks at ends as well.
@@ -53,20 +55,26 @@ class PageProcess:
             start_new_session=True,
         )
         self._asks_again = queue.Queue()
-        threading.Thread(
-            target=self._hear, args=(self._process, self._asks_again), daemon=True
-        ).start()
+        told = self._process, self._asks_again, folder
+        threading.Thread(target=self._hear, args=told, daemon=True).start()
         self._tell(f"{self._token}\n".encode())
 
-    def _hear(self, process: subprocess.Popen[bytes], asks_again: "queue.Queue[bool]") -> None:
+    def _hear(
+        self, process: subprocess.Popen[bytes], asks_again: "queue.Queue[bool]", folder: Path
+    ) -> None:
         """Runs on: a thread of its own, until the page ends."""
         assert process.stdout is not None, "it was started with a pipe"
+        is_paused = True
         for line in process.stdout:
             if line.startswith(PORT):
                 self._http_port = int(line.removeprefix(PORT))
+            elif line == NETWORK_RUNS:
+                is_paused = False
             elif line == RUN_AGAIN:
                 asks_again.put(True)
         asks_again.put(False)
+        if is_paused and self._process is process:
+            _resume(folder)
 
     def _tell(self, line: bytes) -> None:
         assert self._process is not None, "the caller has looked"
@@ -107,14 +115,29 @@ class PageProcess:
 
     def close(self) -> None:
         """End the page."""
-        if self._process is None:
+        process, self._process = self._process, None
+        if process is None:
             return
-        assert self._process.stdin is not None, "it was started with a pipe"
+        assert process.stdin is not None, "it was started with a pipe"
         with suppress(BrokenPipeError):
-            self._process.stdin.close()
+            process.stdin.close()
         try:
-            self._process.wait(_END_S)
+            process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process = None
+            process.kill()
+            process.wait()
+
+
+def _resume(folder: Path) -> None:
+    """Resume the network of a run whose page ended before it did so."""
+    # Only here: a launcher whose page lives needs no client.
+    from concord.nodes.commands import Resume
+    from concord.runtime.network.control_client import Client
+    from concord.runtime.network.network_file import read_network
+
+    # A network that ends has no use for it.
+    with suppress(ValueError, OSError):
+        there = read_network(folder)
+        with closing(Client(there.connect, there.run)) as client:
+            client.command(Resume())
+        sys.stderr.write("the page ended before the first step; the network goes on without it\n")

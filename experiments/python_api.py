@@ -13,6 +13,7 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_options import scenario_of
 from concord.scenarios.types.option import python_words, require_kind
 from concord.studies.memory import check_files, check_memory
+from concord.studies.monte_carlo.side_by_side import processors
 from concord.studies.monte_carlo.simulate import AGES, COV, READINGS
 from concord.studies.monte_carlo.simulate import simulate as simulate_setup
 
@@ -56,8 +57,8 @@ def simulate(scenario: Scenario, runs: int = 1, *, covariances: bool = False) ->
     check_memory(scenario, runs)
     setup = prepare(scenario)
     keep = (READINGS, AGES, *((COV,) if covariances else ()))
-    first = scenario.run
-    return runs_dataset(simulate_setup(setup, range(first, first + runs), keep=keep))
+    numbers = range(scenario.run, scenario.run + runs)
+    return runs_dataset(simulate_setup(setup, numbers, keep=keep, threads=processors()))
 
 
 def figures(runs: "xarray.Dataset") -> dict[str, Any]:

@@ -10,9 +10,10 @@ from concord.experiments.cli.collect import FiguresForm, show
 from concord.results.figures.summary import Summary, summarise
 from concord.results.folder import Description, write_whole
 from concord.results.records.runs import RunCost
-from concord.results.records.runs_file import runs_dataset
+from concord.results.records.runs_file import runs_arrays
 from concord.runtime.batched.build import without_array_form
 from concord.scenarios.setup import Setup
+from concord.studies.monte_carlo.side_by_side import processors
 from concord.studies.monte_carlo.simulate import (
     AGES,
     COV,
@@ -43,7 +44,9 @@ def run_many(
         with progress(
             setup.scenario.name, count * setup.scenario.steps, as_json=shown.as_json
         ) as on_progress:
-            runs = simulate(setup, numbers, keep=keep, on_progress=on_progress)
+            runs = simulate(
+                setup, numbers, keep=keep, on_progress=on_progress, threads=processors()
+            )
     except KeyboardInterrupt as interrupted:
         kept = interrupted.runs if isinstance(interrupted, Interrupted) else None
         if kept is None:
@@ -60,7 +63,7 @@ def run_many(
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     # The file is written first, because a second Ctrl-C may end the program before the table.
     cost = RunCost(seconds, peak_memory_mb)
-    write_whole(folder, runs_dataset(runs, cost), description)
+    write_whole(folder, runs_arrays(runs, cost), description)
     figures = summarise(runs, cost)
     show(figures, description, folder, shown)
     if stopped is not None:

@@ -64,7 +64,9 @@ def from_control(
         time_step_s=sampled_s,
         state_names=names,
     )
-    return plant, OwnSensor(h=lambda x: x @ output.T, R=covariance_of("R", R, len(output)))
+    outputs = tuple((str(one), "") for one in getattr(system, "output_labels", None) or ())
+    noise_cov = covariance_of("R", R, len(output))
+    return plant, OwnSensor(h=lambda x: x @ output.T, R=noise_cov, channels=outputs)
 
 
 def _motion(transition: np.ndarray, gain: np.ndarray | None) -> Callable[..., np.ndarray]:

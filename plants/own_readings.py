@@ -101,8 +101,9 @@ def replayed(
     found = _read(source, units)
     read = {name: one for name, one in found.items() if name not in truths and len(one.values)}
     if not read:
+        said = source if isinstance(source, str | Path) else f"of type {type(source).__name__}"
         raise ValueError(
-            f"readings {source}: none of {', '.join(name for name, _ in channels.values())} is "
+            f"readings {said}: none of {', '.join(name for name, _ in channels.values())} is "
             f"there; name series so, or map them in {COLUMNS}"
         )
     grid = grid_over(read, plant.time_step_s)

@@ -15,7 +15,7 @@ from concord.plants.own_trials import (
     require_one_value,
     within_a_turn,
 )
-from concord.plants.own_values import covariance_of, gate_threshold
+from concord.plants.own_values import covariance_of, gate_threshold, vector_of
 
 _ROUNDING = 1e-6  # of a step: an instant and a step that lie so near are the same
 
@@ -176,6 +176,10 @@ class TrueSensor:
     degrees_of_freedom: float = np.inf
 
     def __post_init__(self) -> None:
+        vector_of("bias", self.bias)
+        for name in ("outlier_share", "outlier_scale", "degrees_of_freedom"):
+            if not isinstance(value := getattr(self, name), int | float | np.number):
+                raise ValueError(f"{name} {value!r}: must be a number, such as 0.05")
         if not 0 <= self.outlier_share < 1:
             raise ValueError(f"outlier_share {self.outlier_share}: must be 0 or more, below 1")
         if not 0 < self.outlier_scale < np.inf:

@@ -15,9 +15,13 @@ def numbers_of(name: str, given: Any) -> np.ndarray:
         return np.asarray(dense, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(
-            f"{name} of type {type(given).__name__}: it holds no real numbers, or rows of several "
-            "lengths; give a list or an array of numbers"
+            f"{name}{_shown(given)} of type {type(given).__name__}: it holds no real numbers, or "
+            "rows of several lengths; give a list or an array of numbers"
         ) from None
+
+
+def _shown(given: Any) -> str:
+    return f" {given!r}" if isinstance(given, str | bytes) and len(given) < 40 else ""
 
 
 def require_description(

@@ -1,33 +1,29 @@
 """Folder of a run's results, with run.json, run.mcap, run.nc and bus.pcap."""
 
 import platform
+import shutil
 import subprocess
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from concord._version import __version__
+from concord.disk import writing
 from concord.nodes.tempo import Tempo
 from concord.results.places import new_name
-from concord.results.records.netcdf_file import DESCRIPTION, RECORDING, write_dataset
+from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION, RECORDING, Arrays, write_arrays
 from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.json_file import read_json, write_json
 from concord.runtime.recording import origin_of
-from concord.scenarios.setup import Setup
-
-if TYPE_CHECKING:
-    import xarray
-
-import shutil
-
-from concord.disk import writing
-from concord.results.records.netcdf_file import ARRAYS
+from concord.scenarios.catalogue import set_received
+from concord.scenarios.received import States, receive, states_of
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 from concord.scenarios.types.option import Choice
+from concord.scenarios.types.plants import UserPlant
 from concord.scenarios.types.schedules import arbiter_of
-from concord.scenarios.user.trust import require_known
+from concord.scenarios.user.trust import UnknownCode, require_known
 from concord.scenarios.user.values import (
     FromFile,
     ValueSource,
@@ -80,6 +76,10 @@ def _copy(folder: Path, source: ValueSource) -> Path:
 
 BATCHED = "batched"
 """The driver whose folder holds many runs and no recording."""
+WITHOUT_CODE = (
+    "note: the code of the plant is not loaded, so figures of one filter with all readings, of "
+    "nodes alone and of innovations are unknown; if it may run here, add --trust {folder}\n"
+)
 NODE_CAPTURE = "bus_node_{}.pcap"
 _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
@@ -87,7 +87,8 @@ _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 class Description(msgspec.Struct, frozen=True):
     """Description of a run and its versions, enough to repeat it; `tempo` only in real time.
 
-    `verdict` is that of its figures; None before they were computed.
+    `verdict` is that of its figures; None before they were computed. `states` is all that a reader
+    without the code of an own plant knows of it.
     """
 
     run: str
@@ -98,6 +99,7 @@ class Description(msgspec.Struct, frozen=True):
     commit: str | None
     tempo: Tempo | None = None
     verdict: VerdictOnRuns | None = None
+    states: States | None = None
 
 
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
@@ -133,7 +135,10 @@ def make_folder(out: Path | None, run: str) -> Path:
 
 def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) -> Description:
     """Return the description of a run by this version of the program."""
-    return Description(run, driver, setup.scenario.seed, setup, versions(), commit(), tempo)
+    states = states_of(setup.scenario)
+    return Description(
+        run, driver, setup.scenario.seed, setup, versions(), commit(), tempo, states=states
+    )
 
 
 def versions(*others: str) -> dict[str, str]:
@@ -184,9 +189,37 @@ def read_description(folder: Path) -> Description:
     """
     found = read_description_file(folder / DESCRIPTION)
     require_known(found.setup.scenario, folder)
+    if isinstance(found.setup.scenario.plant, UserPlant):
+        set_received(found.setup.scenario, None)
     scenario = from_copies(folder, found.setup.scenario)
     setup = msgspec.structs.replace(found.setup, scenario=scenario)
     return msgspec.structs.replace(found, setup=setup)
+
+
+def read_shown(folder: Path) -> Description:
+    """Read run.json to show its run: an own plant that is not known needs no code.
+
+    Raises:
+        ValueError: as `read_description`, of all code but that of the plant.
+    """
+    try:
+        return read_description(folder)
+    except UnknownCode as refusal:
+        found = read_description_file(folder / DESCRIPTION)
+        scenario, states = found.setup.scenario, found.states
+        if states is None or not isinstance(scenario.plant, UserPlant):
+            raise
+        others = msgspec.to_builtins(scenario)
+        for name in ("type", "source", "digest"):
+            others["plant"].pop(name, None)
+        require_known(others, folder)
+        if len(states.names) != len(found.setup.prior_mean):
+            raise ValueError(
+                f"{folder / DESCRIPTION}: names {len(states.names)} states of "
+                f"{len(found.setup.prior_mean)}; copy the folder again"
+            ) from None
+        receive(scenario, states, found.setup.time_step_s, refusal)
+        return found
 
 
 def read_description_file(path: Path) -> Description:
@@ -216,11 +249,12 @@ def recording_of(folder: Path) -> Path:
     return recording
 
 
-def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
+def write_whole(folder: Path, arrays: Arrays, description: Description) -> None:
     """Write run.nc with what was run, or leave none."""
     described = folder / DESCRIPTION
     asked = read_description_file(described) if described.is_file() else description
-    dataset = dataset.assign_attrs(
+    attributes = dict(
+        arrays.attributes,
         origin=msgspec.json.encode(origin_of(asked.setup, asked.run)).decode(),
         title=f"concord run {description.run}",
         driver=description.driver,
@@ -228,6 +262,9 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
         versions=msgspec.json.encode(description.versions).decode(),
         commit=description.commit or "unknown",
     )
-    if description.tempo is not None and "estimate_age_s" in dataset:
-        dataset["estimate_age_s"].attrs["limit"] = description.tempo.oldest_s
-    write_dataset(dataset, folder / ARRAYS)
+    variables = dict(arrays.variables)
+    if description.tempo is not None and "estimate_age_s" in variables:
+        dimensions, values, told = variables["estimate_age_s"]
+        told = told | {"limit": description.tempo.oldest_s}
+        variables["estimate_age_s"] = dimensions, values, told
+    write_arrays(Arrays(variables, arrays.coordinates, attributes), folder / ARRAYS)

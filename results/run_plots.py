@@ -9,7 +9,7 @@ import numpy as np
 from concord.filters.metrics import mean_of_known, rmse
 from concord.results.figures.network_errors import scored_steps
 from concord.results.figures.smoothed_errors import smoothed_errors
-from concord.results.folder import Description, read_description
+from concord.results.folder import Description, read_shown
 from concord.results.innovations.plots import innovation_figure
 from concord.results.network_map import Mapped, network_maps
 from concord.results.palette import COLOURS, GREY
@@ -34,7 +34,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     Raises:
         ValueError: it is no run folder, or its arrays are missing or damaged.
     """
-    description = read_description(folder)
+    description = read_shown(folder)
     data = _arrays(folder, description)
     description = _as_it_ran(folder, description, data)
     figures, told = {}, _told(description, data)
@@ -112,8 +112,9 @@ def _errors(description: Description, data: "xarray.Dataset", told: np.ndarray) 
     axes.fill_between(time, quarter, three, color=COLOURS[0], alpha=0.3, linewidth=0,
                       label="half of the nodes")  # fmt: skip
     axes.plot(time, rmse(errors[..., None], (0, 2)), color=COLOURS[0], label="network")
-    axes.plot(time, rmse(off[..., list(score.states)], (0,)), color=COLOURS[1], linestyle="--",
-              label="one filter that hears everything")  # fmt: skip
+    if not np.isnan(off).all():
+        axes.plot(time, rmse(off[..., list(score.states)], (0,)), color=COLOURS[1], linestyle="--",
+                  label="one filter that hears everything")  # fmt: skip
     axes.set(yscale="log", ylabel=f"error [{score.unit}]")
     _finish(figure, axes, description, data)
     return figure

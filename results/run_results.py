@@ -12,7 +12,7 @@ from concord.results.bus.node_capture import node_capture
 from concord.results.folder import NODE_CAPTURE, Description, recording_of, write_whole
 from concord.results.records.netcdf_file import CAPTURE, RECORDING
 from concord.results.records.runs import Runs
-from concord.results.records.runs_file import runs_dataset
+from concord.results.records.runs_file import runs_arrays
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.recording import read_recording
 from concord.scenarios.build import build_bus
@@ -87,7 +87,7 @@ def write_results(
         captures: which captures.
         heard: the filter that hears everything, where sensors have filters.
     """
-    write_whole(folder, runs_dataset(runs, heard=heard), description)
+    write_whole(folder, runs_arrays(runs, heard=heard), description)
     setup, recording = description.setup, folder / RECORDING
     frames = capture(setup, trace, read_recording(recording), captures.all_cycles)
     if frames is None:

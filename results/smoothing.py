@@ -14,7 +14,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import mean_of_known, rmse
 from concord.results.figures.network_errors import outside_steps
 from concord.results.folder import Description
-from concord.results.records.netcdf_file import state_coordinates, write_dataset
+from concord.results.records.netcdf_file import Arrays, state_coordinates, write_arrays
 from concord.results.records.trace import Trace
 from concord.scenarios.baselines import (
     centralised,
@@ -103,21 +103,18 @@ def smoothing_figures(setup: Setup, trace: Trace, found: Smoothed, first: int) -
 
 def write_smoothed(folder: Path, description: Description, found: Smoothed) -> None:
     """Write smoothed.nc: filtered and smoothed beliefs of each step, side by side."""
-    # Loading xarray can take longer than a run, so it is loaded only to write a file.
-    import xarray
-
     setup = description.setup
     variables = {}
     for name, belief in (("filtered", found.filtered), ("smoothed", found.smoothed)):
         variables[f"{name}_mean"] = (("step", "state"), belief.mean)
         variables[f"{name}_cov"] = (("step", "state", "other_state"), belief.cov)
     coordinates = state_coordinates(setup, len(found.filtered.mean))
-    dataset = xarray.Dataset(variables, coordinates).assign_attrs(
-        title=f"concord run {description.run}, one filter that hears everything and its smoother",
-        scenario=msgspec.json.encode(setup.scenario).decode(),
-        filter=setup.scenario.filter.name,
-    )
-    write_dataset(dataset, folder / SMOOTHED)
+    attributes = {
+        "title": f"concord run {description.run}, a filter that hears everything and its smoother",
+        "scenario": msgspec.json.encode(setup.scenario).decode(),
+        "filter": setup.scenario.filter.name,
+    }
+    write_arrays(Arrays(variables, coordinates, attributes), folder / SMOOTHED)
 
 
 def smoothing_line(figures: SmoothingFigures, unit: str) -> str:

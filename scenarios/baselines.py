@@ -79,10 +79,7 @@ def centralised_of_runs(
     nodes = list(range(setup.scenario.nodes))
     if not filters_step_by_step(setup):
         return _one_by_one(setup, runs, nodes, readings, control)
-    if prior_mean is None:
-        return _stepwise(setup, runs, baseline_step(setup, nodes), readings, control)
-    n = prior_mean.shape[-1]
-    prior = Gaussian(prior_mean, np.broadcast_to(setup.prior_cov, (len(runs), n, n)))
+    prior = priors_of_runs(setup, runs, prior_mean)
     return _through(prior, baseline_step(setup, nodes), readings, control)
 
 
@@ -133,19 +130,25 @@ def _ways_back(setup: Setup, filtered: Gaussian, control: np.ndarray | None) -> 
 
 
 def local_only_of_runs(
-    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+    setup: Setup,
+    runs: Sequence[int],
+    readings: np.ndarray,
+    control: np.ndarray | None,
+    prior_mean: np.ndarray | None = None,
 ) -> Gaussian:
-    """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
+    """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n).
+
+    `prior_mean` as in `centralised_of_runs`.
+    """
     nodes = range(setup.scenario.nodes)
     definition = definition_of(setup.scenario)
     if filters_step_by_step(setup) and definition.sensors is not None and readings.shape[-2] == 1:
-        return _all_alone(setup, runs, readings, control)
-    alone = [
-        _one_by_one(setup, runs, [node], readings, control)
-        if not filters_step_by_step(setup)
-        else _stepwise(setup, runs, baseline_step(setup, [node]), readings, control)
-        for node in nodes
-    ]
+        return _all_alone(setup, priors_of_runs(setup, runs, prior_mean), readings, control)
+    if filters_step_by_step(setup):
+        prior = priors_of_runs(setup, runs, prior_mean)
+        alone = [_through(prior, baseline_step(setup, [node]), readings, control) for node in nodes]
+    else:
+        alone = [_one_by_one(setup, runs, [node], readings, control) for node in nodes]
     return Gaussian(
         np.stack([belief.mean for belief in alone], axis=2),
         np.stack([belief.cov for belief in alone], axis=2),
@@ -153,7 +156,7 @@ def local_only_of_runs(
 
 
 def _all_alone(
-    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+    setup: Setup, prior: Gaussian, readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Nodes that take one reading each a step at most, all at once."""
     scenario = with_scripted_moves(setup).scenario
@@ -171,8 +174,7 @@ def _all_alone(
         found = filters.update(belief, delivered, step, content.memory)
         return _after(filters.filter, found.belief, found.memory)
 
-    prior = priors_of_runs(setup, runs)
-    shape = (len(runs), scenario.nodes)
+    shape = (len(prior.mean), scenario.nodes)
     everywhere = Gaussian(
         np.broadcast_to(prior.mean[:, None], (*shape, *prior.mean.shape[1:])),
         np.broadcast_to(prior.cov[:, None], (*shape, *prior.cov.shape[1:])),
@@ -214,23 +216,15 @@ def _one_by_one(
     )
 
 
-def _stepwise(
-    setup: Setup,
-    runs: Sequence[int],
-    advance: BaselineStep,
-    readings: np.ndarray,
-    control: np.ndarray | None,
-) -> Gaussian:
-    return _through(priors_of_runs(setup, runs), advance, readings, control)
+def priors_of_runs(setup: Setup, runs: Sequence[int], mean: np.ndarray | None = None) -> Gaussian:
+    """Where filters begin in the runs of these numbers: (R, n), (R, n, n).
 
-
-def priors_of_runs(setup: Setup, runs: Sequence[int]) -> Gaussian:
-    """Where filters begin in the runs of these numbers: (R, n), (R, n, n)."""
-    starts = [setup_of_run(setup, run) for run in runs]
-    return Gaussian(
-        np.array([start.prior_mean for start in starts]),
-        np.array([start.prior_cov for start in starts]),
-    )
+    The mean is drawn where it is not given.
+    """
+    if mean is None:
+        mean = np.array([setup_of_run(setup, run).prior_mean for run in runs])
+    n = mean.shape[-1]
+    return Gaussian(mean, np.broadcast_to(setup.prior_cov, (len(runs), n, n)))
 
 
 def _through(
@@ -255,7 +249,13 @@ def driven_into(control: np.ndarray | None, step: int) -> np.ndarray | None:
 def filters_step_by_step(setup: Setup) -> bool:
     """Whether `baseline_step` is the scenario's filter; other filters take a whole run at once."""
     definition = definition_of(setup.scenario)
-    return definition.baseline_filter is None and rule_of(setup.scenario).baseline_filter is None
+    has_own = definition.baseline_filter or rule_of(setup.scenario).baseline_filter
+    return definition.is_received or has_own is None
+
+
+def _unknown(content: BaselineContent, *_: object) -> BaselineContent:
+    """Return a belief of which nothing is known: there is no model."""
+    return BaselineContent(Gaussian(*(np.full_like(one, np.nan) for one in content.belief)))
 
 
 def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
@@ -265,6 +265,8 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     """
     scenario, own_filter = with_scripted_moves(setup).scenario, filter_of(setup)
     definition = definition_of(scenario)
+    if definition.is_received:
+        return _unknown
     model = definition.model(scenario)
     each = [(node, definition.sensor(scenario, node)) for node in nodes]
     sensors = [(node, sensor) for node, sensor in each if sensor is not None]

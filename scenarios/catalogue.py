@@ -26,16 +26,44 @@ def definition_of(scenario: Scenario) -> ScenarioDefinition:
         ValueError: it is of a file that is not there, or is another one now.
     """
     plant = scenario.plant
-    where = plant.where if isinstance(plant, UserPlant) else scenario.name
+    if isinstance(plant, UserPlant) and plant.where in _received:
+        return _received[plant.where]
+    where = plant if isinstance(plant, UserPlant) else scenario.name
     return _believed(where, scenario.identified) if scenario.identified else _definition(where)
 
 
-def _definition(where: ValueSource | str) -> ScenarioDefinition:
-    return definition_named(where) if isinstance(where, str) else _of_user(where)
+def as_long_as(scenario: Scenario, steps: int) -> str:
+    """Say how a run has so many steps: by the option, or by a longer log than this one."""
+    all_steps = definition_of(scenario).all_steps
+    longest = steps if all_steps is None else all_steps(scenario)
+    if longest < steps:
+        return f"a log of {steps} steps or more; this one has {longest}"
+    return f"--steps {steps}"
+
+
+_received: dict[ValueSource, ScenarioDefinition] = {}
+
+
+def set_received(scenario: Scenario, definition: ScenarioDefinition | None) -> None:
+    """Take this definition for an own scenario in place of its code; None for the code again."""
+    assert isinstance(scenario.plant, UserPlant), "only own plants are code of a user"
+    if definition is None:
+        _received.pop(scenario.plant.where, None)
+    else:
+        _received[scenario.plant.where] = definition
+
+
+def is_received(scenario: Scenario) -> bool:
+    """Whether this process reads an own scenario without its code."""
+    return isinstance(scenario.plant, UserPlant) and scenario.plant.where in _received
+
+
+def _definition(where: UserPlant | str) -> ScenarioDefinition:
+    return definition_named(where) if isinstance(where, str) else _of_user(where.where, where.data)
 
 
 @lru_cache(maxsize=16)
-def _believed(where: ValueSource | str, word: str) -> ScenarioDefinition:
+def _believed(where: UserPlant | str, word: str) -> ScenarioDefinition:
     # Only here: most filters believe in their scenario as it is.
     from concord.scenarios.identified import believed
     from concord.scenarios.types.identified_values import values_in
@@ -43,11 +71,11 @@ def _believed(where: ValueSource | str, word: str) -> ScenarioDefinition:
     return believed(_definition(where), values_in(word))
 
 
-def _of_user(source: ValueSource) -> ScenarioDefinition:
+def _of_user(source: ValueSource, data: str | None = None) -> ScenarioDefinition:
     # Only here: most processes have no plant of the user's own.
     from concord.scenarios.definitions.own import user_definition
 
-    return user_definition(source)
+    return user_definition(source, data)
 
 
 def scored_nees(scenario: Scenario, errors: np.ndarray, cov: np.ndarray) -> np.ndarray:

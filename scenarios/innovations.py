@@ -169,7 +169,11 @@ def innovation_filters(setup: Setup, delivered: tuple[int, int]) -> InnovationFi
     sets, and where sensors have no filter."""
     scenario = with_scripted_moves(setup).scenario
     definition = definition_of(scenario)
-    if definition.wirings or rule_of(scenario).baseline_filter is not None:
+    if (
+        definition.is_received
+        or definition.wirings
+        or rule_of(scenario).baseline_filter is not None
+    ):
         return None
     own_filter = filter_of(setup)
     filters = LocalFilters(
@@ -234,14 +238,21 @@ def innovations_of_nodes(
 
 
 def innovations_of_all(
-    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
+    setup: Setup,
+    runs: Sequence[int],
+    readings: np.ndarray,
+    control: np.ndarray | None,
+    prior_mean: np.ndarray | None = None,
 ) -> HearsAll | None:
-    """The filter that hears everything in the runs of these numbers: (R, S, n), (R, S, N, r, m)."""
+    """The filter that hears everything in the runs of these numbers: (R, S, n), (R, S, N, r, m).
+
+    `prior_mean` (R, n) is drawn anew when left out.
+    """
     filters = innovation_filters(setup, readings.shape[-2:])
     if filters is None:
         return None
     own_filter = filters.filters.filter
-    belief, learnt = begun(own_filter, priors_of_runs(setup, runs)), ()
+    belief, learnt = begun(own_filter, priors_of_runs(setup, runs, prior_mean)), ()
     beliefs, found = [], []
     for step in range(readings.shape[1]):
         now, learnt = filters.of_all(

@@ -136,7 +136,10 @@ def _equipment(setup: Setup, settings: Settings) -> Equipment:
 def setup_of_run(setup: Setup, run: int) -> Setup:
     """The same network in the run of that number: where truth and filters begin is drawn anew."""
     scenario = msgspec.structs.replace(setup.scenario, run=run)
-    plant = definition_of(scenario).plant(scenario)
+    definition = definition_of(scenario)
+    if definition.is_received and run == setup.scenario.run:
+        return setup
+    plant = definition.plant(scenario)
     draws = plant.draw(partial(generator, scenario), scenario.steps)
     initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
     return msgspec.structs.replace(

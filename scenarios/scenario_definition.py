@@ -163,7 +163,10 @@ class ScenarioDefinition(NamedTuple):
         node_names: of all nodes; empty where numbers are their names.
         origin: a point (n,) near the states, the same for all runs, about which shares and readings
             are written; None for zero.
+        with_data: (definition, data) -> the definition with the readings of the log that `--data`
+            names, for scenarios of the user's own; None where they take none.
         declared: parameters of model and sensors that `concord identify` may seek; None for none.
+        is_received: whether run.json told all that is known, and model and sensors are refused.
     """
 
     defaults: Scenario
@@ -192,6 +195,8 @@ class ScenarioDefinition(NamedTuple):
     node_names: tuple[str, ...] = ()
     origin: Callable[[Scenario], np.ndarray | None] = lambda _: None
     declared: Callable[[Scenario], Declared | None] = lambda _: None
+    with_data: "Callable[[ScenarioDefinition, str], ScenarioDefinition] | None" = None
+    is_received: bool = False
 
     def wiring(self, scenario: Scenario) -> NetworkWiring | None:
         """The wiring of the scenario's rule; None where every node filters and fuses.

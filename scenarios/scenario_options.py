@@ -155,10 +155,10 @@ def scenario_with_known(
     Raises:
         ValueError: there is no such scenario, or its data cannot be read.
     """
-    definition = definition_named(scenario)
     if "changes" in options:
         options = {**options, "changes": with_files(options["changes"])}
-    found, left = definition.defaults.with_known(**options)
+    found, left = definition_named(scenario).defaults.with_known(**options)
+    definition = definition_of(found)
     if definition.all_steps is not None and "steps" not in options:
         found = found.with_(steps=definition.all_steps(found))
     return found, left
@@ -166,10 +166,15 @@ def scenario_with_known(
 
 def in_options(scenario: Scenario) -> list[str]:
     """The words of the command line that say a scenario of a name, without its defaults."""
-    usual, chosen = definition_of(scenario).defaults, flat(scenario)
+    definition, chosen = definition_of(scenario), flat(scenario)
+    usual = definition.defaults
     is_choice = {name: offered_options()[name].is_choice for name in chosen}
     choices = {name: value for name, value in chosen.items() if is_choice[name]}
     before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])
+
+    if definition.all_steps is not None and scenario != usual:
+        # A command that names no steps takes all of the log, whatever the default is.
+        with_choices["steps"] = definition.all_steps(scenario)
     words: list[str] = []
     for name, value in chosen.items():
         if value != (before if is_choice[name] else with_choices).get(name):

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from concord.results.figures.summary import LEAST_RUNS
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import as_long_as, definition_of
 from concord.scenarios.scenario import Scenario
 
 LEAST_STEPS = 20
@@ -17,7 +17,8 @@ def few_steps(scenario: Scenario) -> Iterator[str]:
         enough = definition_of(scenario).score.first_step + LEAST_STEPS
         yield (
             f"only {scored} step{' is' if scored == 1 else 's are'} scored (from step {first} of "
-            f"{scenario.steps}): errors and ANEES are mostly chance; use --steps {enough} or more"
+            f"{scenario.steps}): errors and ANEES are mostly chance; use "
+            + as_long_as(scenario, enough)
         )
 
 

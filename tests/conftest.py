@@ -1,5 +1,6 @@
 """Shared settings of all tests: one BLAS thread, the hypothesis profile, the real data folder."""
 
+import gc
 import os
 
 # This runs before numpy is imported: results must not depend on how many threads share a sum.
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import settings
 
 from tests.dashboard.conftest import HOW
+from tests.house.sources import packages
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -23,15 +25,14 @@ settings.load_profile("ci" if os.environ.get("CI") else "concord")
 
 
 LONGEST = (
-    "papers/test_reproduce_wac", "test_readme", "laboratory/test_drawn",
-    "features/vehicle/identification/test_without_slip", "papers/test_reproduce_adlukf",
-    "features/vehicle/identification/test_causes", "laboratory/test_supervision",
-    "features/hosts/test_up", "test_batched_agreement", "test_labelled_arrays",
-    "experiments/test_killed_sweeps", "features/sets/test_set_units",
-    "features/vehicle/test_logged_positions", "laboratory/test_security", "test_sweep_pages",
-    "dashboard/test_browser_live", "dashboard/test_browser_launch", "dashboard/test_monkey",
-    "experiments/test_partition", "runtime/test_recording",
-    "features/vehicle/identification/test_output_error", "test_gallery",
+    "test_readme", "experiments/test_verdict_levels", "test_own_page",
+    "features/vehicle/test_vehicle_page", "experiments/test_audit", "experiments/test_compare",
+    "experiments/test_plots", "nodes/test_broken_links", "test_examples", "test_sweep_pages",
+    "experiments/test_clusters", "features/vehicle/identification/test_fit",
+    "experiments/test_realtime_losses", "experiments/test_interruption", "studies/test_exact_page",
+    "dashboard/test_monkey", "dashboard/test_browser_live", "runtime/test_new_links",
+    "features/vehicle/test_scenario", "test_batched_agreement", "experiments/test_churned_runs",
+    "test_readers", "test_labelled_arrays", "dashboard/test_browser_launch",
 )  # fmt: skip
 """Files that take a worker most of a minute. A file that starts last lets the others wait."""
 
@@ -44,6 +45,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "chromium" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
+    # The collected tests live to the end: searches for garbage need not walk through them.
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -59,6 +63,13 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 def _own_list(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep the list of own code (`scenarios/user/trust.py`) apart from that of the developer."""
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
+@pytest.fixture(scope="module")
+def _trees_are_dropped() -> Iterator[None]:
+    """Later tests of this process would carry a million syntax nodes through each collection."""
+    yield
+    packages.cache_clear()
 
 
 @pytest.fixture(autouse=True)

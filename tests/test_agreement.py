@@ -153,7 +153,7 @@ def test_drivers_agree_on_recorded_robots(graph: str, mrclam_folder: Path, tmp_p
 @pytest.mark.zenoh
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("nodes", "graph", "steps"), [(12, "geometric", 200), (32, "4-regular", 50)]
+    ("nodes", "graph", "steps"), [(12, "geometric", 40), (32, "4-regular", 10)]
 )
 def test_drivers_agree_on_larger_networks(nodes: int, graph: str, steps: int, tmp_path: Path):
     asked = scenario("target-tracking", nodes=nodes, graph=graph, steps=steps, seed=7)

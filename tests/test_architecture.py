@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tests.house.sources import PACKAGES, ROOT, Source, imported_names, packages, product
+from tests.house.sources import PACKAGES, ROOT, Source, packages, product
 
+pytestmark = pytest.mark.usefixtures("_trees_are_dropped")
 MAX_FUNCTION_LINES = 70
 
 # Each folder may import what is to the left of it; `concord.entries` is below all of them.
@@ -60,7 +61,7 @@ MARKERS = re.compile("|".join((r"\bTO" + "DO\\b", r"\bFIX" + "ME\\b", r"\bX" + "
 
 def imported(file: Source) -> Iterator[tuple[int, str]]:
     """Line and full name of everything imported, inside functions too; ours without `concord.`."""
-    for module, name, line in imported_names(file):
+    for module, name, line in file.imports:
         full = f"{module}.{name}" if name else module
         bare = full.removeprefix("concord.")
         # A folder that is imported without `concord` would be loaded a second time.
@@ -103,26 +104,22 @@ def private_names_stay_in_their_file(file: Source) -> Iterator[str]:
 
 
 def functions_are_short(file: Source) -> Iterator[str]:
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            lines = (node.end_lineno or node.lineno) - node.lineno + 1
-            if lines > MAX_FUNCTION_LINES:
-                yield (
-                    f"{node.lineno}: {node.name} has {lines} lines, at most {MAX_FUNCTION_LINES}; "
-                    "give each of its ideas a function of its own"
-                )
+    for node in file.nodes(ast.FunctionDef, ast.AsyncFunctionDef):
+        lines = (node.end_lineno or node.lineno) - node.lineno + 1
+        if lines > MAX_FUNCTION_LINES:
+            yield (
+                f"{node.lineno}: {node.name} has {lines} lines, at most {MAX_FUNCTION_LINES}; "
+                "give each of its ideas a function of its own"
+            )
 
 
 def nothing_prints_but_the_command_line(file: Source) -> Iterator[str]:
     speaks = re.fullmatch(SPEAKERS, str(file.path))
-    for node in ast.walk(file.tree):
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and _called(node) == "print"
-        ):
+    for node in file.nodes(ast.Call):
+        if isinstance(node.func, ast.Name) and _called(node) == "print":
             yield f"{node.lineno}: print; return the text, and let experiments/ write it"
-        elif isinstance(node, ast.Attribute) and node.attr == "stdout" and not speaks:
+    for node in file.nodes(ast.Attribute):
+        if node.attr == "stdout" and not speaks:
             yield f"{node.lineno}: standard output; return the text, and let experiments/ write it"
 
 
@@ -130,8 +127,8 @@ def nothing_is_pickled(file: Source) -> Iterator[str]:
     for line, name in imported(file):
         if name.partition(".")[0] in SERIALISERS:
             yield f"{line}: imports {name}; write JSON with msgspec, arrays with xarray"
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+    for node in file.nodes(ast.keyword):
+        if node.arg == "allow_pickle":
             yield f"{node.value.lineno}: allow_pickle; store plain arrays"
 
 
@@ -144,14 +141,14 @@ def pure_rooms_know_no_clock_and_no_chance(file: Source) -> Iterator[str]:
 
 
 def randomness_is_seeded(file: Source) -> Iterator[str]:
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in (
-            "np.random",
-            "numpy.random",
-        ):
-            if node.attr not in SEEDED:
+    for node in file.nodes(ast.Attribute):
+        match node.value:
+            case ast.Attribute(value=ast.Name(id="np" | "numpy"), attr="random") if (
+                node.attr not in SEEDED
+            ):
                 yield f"{node.lineno}: np.random.{node.attr} is global; take a numpy Generator"
-        elif isinstance(node, ast.Call) and _called(node) == "default_rng" and not node.args:
+    for node in file.nodes(ast.Call):
+        if _called(node) == "default_rng" and not node.args:
             yield f"{node.lineno}: a generator without a seed; take the seed as an argument"
 
 

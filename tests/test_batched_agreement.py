@@ -14,7 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from concord.results.records.runs import Runs
-from concord.results.records.trace import read_trace
+from concord.results.records.trace import Trace, read_trace
 from concord.runtime.batched.build import without_array_form
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
@@ -63,7 +63,8 @@ def check_changing(asked: Scenario) -> None:
     check_agreement(asked)
 
 
-def check_run(histories: Runs, place: int, setup: Setup) -> None:
+def check_run(histories: Runs, place: int, setup: Setup) -> Trace:
+    """Compare a run with that of messages, whose trace is returned."""
     trace = read_trace(setup, in_memory(setup))
     sd = np.sqrt(np.diagonal(trace.cov, axis1=-2, axis2=-1))
     assert histories.cov is not None and histories.ages is not None
@@ -92,6 +93,7 @@ def check_run(histories: Runs, place: int, setup: Setup) -> None:
     for name in names:
         expected = [counters.get(name, 0) for counters in trace.counters]
         assert histories.counters[name][place].tolist() == expected, name
+    return trace
 
 
 def check_near(
@@ -145,21 +147,14 @@ def scenarios(draw: st.DrawFn) -> Scenario:
 
 
 @given(scenarios())
-@settings(max_examples=50)
+@settings(max_examples=40)
 def test_random_scenarios_agree(asked: Scenario):
     check_agreement(asked)
 
 
 @given(changing(scenarios(), SET))
-@settings(max_examples=50)
+@settings(max_examples=40)
 def test_random_scenarios_with_random_changes_agree(asked: Scenario):
-    check_changing(asked)
-
-
-@pytest.mark.slow
-@given(st.one_of(scenarios(), changing(scenarios(), SET)))
-@settings(max_examples=200)
-def test_many_more_random_scenarios_agree(asked: Scenario):
     check_changing(asked)
 
 

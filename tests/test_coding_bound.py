@@ -61,6 +61,7 @@ def test_an_ideal_code_would_save_little(monkeypatch: pytest.MonkeyPatch) -> Non
     assert left_out < 0.02 * sent
 
 
+@pytest.mark.study
 def test_perfect_knowledge_of_neighbours_leaves_most_of_the_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

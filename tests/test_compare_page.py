@@ -51,6 +51,7 @@ def rows_of_numbers() -> dict[tuple[str, str, str, str], int]:
     return found
 
 
+@pytest.mark.study
 def test_the_commands_of_the_table_of_numbers_send_its_bytes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):

@@ -10,11 +10,20 @@ import matplotlib
 import matplotlib.pyplot
 import pytest
 
+from tests.pages import ROOT, commands
+
 pytestmark = pytest.mark.slow
 
 matplotlib.use("Agg")
-ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(file.name for file in (ROOT / "examples").glob("*.py"))
+RUN_BY_PAGES = {
+    name
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
+    for command in commands(page.read_text(encoding="utf-8"))
+    for name in SCRIPTS
+    if f"python examples/{name}" in command
+}
+"""The tests of the pages run these."""
 NOTEBOOKS = sorted(file.name for file in (ROOT / "examples").glob("*.ipynb"))
 DATA = ROOT.parent / "shared" / "data" / "mrclam6"
 
@@ -24,7 +33,7 @@ def test_there_are_examples():
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("name", sorted({*SCRIPTS} - RUN_BY_PAGES))
 def test_a_script_runs(name: str, tmp_path: Path):
     arguments = [str(DATA)] if name == "recorded_data.py" else []
     if arguments and not DATA.is_dir():

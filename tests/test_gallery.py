@@ -10,6 +10,7 @@ from docs import gallery
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.study
 @pytest.mark.slow
 def test_the_commands_of_the_page_draw_its_pictures(tmp_path: Path):
     gallery.draw(tmp_path)

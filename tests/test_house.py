@@ -24,6 +24,8 @@ from tests.house.structure import (
     small_files_have_a_reason,
 )
 
+pytestmark = pytest.mark.usefixtures("_trees_are_dropped")
+
 UPWARDS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from concord.bus.b import B"
 LAZY = "def f():\n    import concord.bus.a"
 DYNAMIC = "import importlib\nimportlib.import_module('concord.bus.a')"

@@ -30,11 +30,15 @@ def test_the_commands_run_beside_files_of_the_names_of_our_folders(command: str,
     run_as_reader(command, folder)
 
 
+@pytest.mark.zenoh
 def test_the_commands_of_own_data_run_one_after_the_other(tmp_path: Path):
-    for name, text in zip(
-        ("write_log", "trolley", "session"), blocks(OWN_DATA, "python"), strict=True
-    ):
+    names = ("bicycle", "reactor", "write_log", "trolley", "session")
+    for name, text in zip(names, blocks(OWN_DATA, "python"), strict=True):
         (tmp_path / f"{name}.py").write_text(text)
+    (tmp_path / "drive").mkdir()
+    (columns,) = blocks(OWN_DATA, "toml")
+    (tmp_path / "drive" / "columns.toml").write_text(columns)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     for command in (*commands(OWN_DATA), "python session.py"):
         run_as_reader(command, tmp_path)
     assert (tmp_path / "found.toml").is_file()

@@ -28,6 +28,7 @@ PLANTED = [
     ("runtime/peer_patience.py", "x = 1", "name it 'peer timeout'"),
     ("nodes/a.py", "def f(said): pass", "name it 'republisher'"),
     ("features/sets/a.py", "def carry(): pass", "name it 'predict'"),
+    ("docs/a.md", f"{'<' * 7} HEAD\nOne text.", "a merge was left open"),
     ("results/a.py", "class Kind: pass", "name it 'scenario definition'"),
 ]
 ALLOWED = [

@@ -36,7 +36,7 @@ from tests.features.flexray_tools.test_signals import arxml, fibex
 from tests.house.sources import product
 
 ROOT = Path(__file__).resolve().parent.parent
-MUTATIONS, MOST_MB, MOST_S = 200, 500, 5.0
+MOST_MB, MOST_S = 500, 5.0
 NO_READER = {
     "studies.sweep.store:open_store",
     "plants.recorded.columns:read_channels",
@@ -69,6 +69,7 @@ def of_log(read: Callable[..., Any], file: Path) -> None:
 
 
 READERS = {
+    "results.folder:read_shown": [Reader("run/run.json", of_folder)],
     "results.folder:read_description": [Reader("run/run.json", of_folder)],
     "results.folder:read_description_file": [Reader("run/run.json")],
     "features.hosts.host_place:read_setup": [Reader("run/run.json")],
@@ -263,9 +264,10 @@ def damaged(content: bytes, chance: random.Random) -> bytes:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mutations", [40, pytest.param(200, marks=pytest.mark.study)])
 @pytest.mark.parametrize(("name", "reader"), CASES)
 def test_damage_is_met_with_an_error_of_ours(
-    name: str, reader: Reader, samples: Path, tmp_path: Path
+    name: str, reader: Reader, mutations: int, samples: Path, tmp_path: Path
 ):
     module, _, function = name.partition(":")
     read = getattr(importlib.import_module(f"concord.{module}"), function)
@@ -275,7 +277,7 @@ def test_damage_is_met_with_an_error_of_ours(
     whole = file.read_bytes()
     before_mb = peak_mb()
     chance = random.Random(name)
-    for number in range(MUTATIONS):
+    for number in range(mutations):
         file.write_bytes(b"" if number == 0 else damaged(whole, chance))
         began_s = processor_s()
         try:

@@ -5,7 +5,8 @@ without a new line here. Drivers that pass messages give equal bits, the batched
 1e-10. One entry of each group of options also runs over processes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -35,6 +36,9 @@ from tests.experiments.support import scenario, trace_of
 
 STEPS, NODES = 6, 4
 FIRST = "oscillator"
+SMALL: dict[str, Any] = {"nodes": NODES, "graph": "ring", "rounds": 1}
+SMALLER = {"target-swarm": {"nodes": NODES, "targets": 3, "clutter": 3}}
+"""Values for scenarios whose own ones take seconds."""
 
 
 class Entry(NamedTuple):
@@ -85,15 +89,15 @@ def prepared(entry: Entry, folder: Path) -> Setup:
     options = dict(entry.options)
     named = options.pop("scenario", None)
     if named is not None:
-        return prepare(scenario(named, **{"steps": STEPS, **options}))
+        small = SMALLER.get(named, {})
+        return prepare(scenario(named, **{"steps": STEPS, **small, **options}))
     edges = folder / "path.edges"
     edges.write_text("0 1\n1 2\n2 3\n")
     if "graph" in options:
         options["graph"] = options["graph"].replace("K-", "2-").replace("PATH", str(edges))
-    small = {"nodes": NODES, "graph": "ring", "rounds": 1}
     refusals = []
     for name in (FIRST, *definitions()):
-        for network in (small, {}):
+        for network in (SMALL, SMALLER.get(name, {})):
             try:
                 return prepare(scenario(name, **{"steps": STEPS, **network, **options}))
             except ValueError as refusal:
@@ -101,12 +105,32 @@ def prepared(entry: Entry, folder: Path) -> Setup:
     raise refusals[0]
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry.table} {entry.name}")
-def test_an_entry_runs_in_process_and_batched(entry: Entry, tmp_path: Path):
-    try:
-        setup = prepared(entry, tmp_path)
-    except ValueError as refusal:
-        assert "\n" not in str(refusal) and 20 < len(str(refusal)) < 400
+Tried = Callable[[int], Setup | str]
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    """The network of an entry by its number, or the sentence that refuses it; prepared once."""
+    folder = tmp_path_factory.mktemp("tables")
+
+    @cache
+    def network_or_refusal(number: int) -> Setup | str:
+        try:
+            return prepared(ENTRIES[number], folder)
+        except ValueError as refusal:
+            return str(refusal)
+
+    return network_or_refusal
+
+
+IDS = [f"{entry.table} {entry.name}" for entry in ENTRIES]
+
+
+@pytest.mark.parametrize("number", range(len(ENTRIES)), ids=IDS)
+def test_an_entry_runs_in_process_and_batched(number: int, tried: Tried):
+    setup = tried(number)
+    if isinstance(setup, str):
+        assert "\n" not in setup and 20 < len(setup) < 400
         return
     trace = read_trace(setup, in_memory(setup))
     assert np.isfinite(trace.mean).any()
@@ -150,12 +174,8 @@ def test_a_rule_is_built_for_every_scenario_or_by_the_wiring_of_some():
             assert rule_of(asked).estimator
 
 
-def test_most_entries_run(tmp_path: Path):
+def test_most_entries_run(tried: Tried):
     """A table of refusals alone would pass every other test."""
-    refused = []
-    for entry in ENTRIES:
-        try:
-            prepared(entry, tmp_path)
-        except ValueError as refusal:
-            refused.append(f"{entry.table} {entry.name}: {refusal}")
+    found = {one: tried(number) for number, one in enumerate(IDS)}
+    refused = [f"{one}: {found[one]}" for one in found if isinstance(found[one], str)]
     assert len(refused) < len(ENTRIES) / 5, "\n".join(refused)

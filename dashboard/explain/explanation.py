@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.provenance import ShareArrival, UsedShare, provenance
-from concord.dashboard.theme import Theme, css
+from concord.dashboard.theme import Theme, css, ink
 
 HEADINGS = {
     "from": "sender of the share; own: the node's own belief",
@@ -75,7 +75,7 @@ def _row(
     bar = 0.0 if not top > 0 or np.isnan(weight) else 100 * weight / top
     fill = f"linear-gradient(to right,{css(theme.fused, 0.35)} {bar:.0f}%,transparent {bar:.0f}%)"
     told = "-" if np.isnan(weight) else f"{weight:.2f}"
-    colour = f' style="color:{css(theme.down)}"' if is_bad else ""
+    colour = f' style="color:{ink(theme, theme.down)}"' if is_bad else ""
     owner = "" if sender is None else f' data-sender="{sender}"'
     return (
         f'<tr{owner}><td>{name}</td><td style="background:{fill}">{told}</td><td>{age}</td>'

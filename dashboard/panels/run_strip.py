@@ -52,7 +52,8 @@ class RunStrip:
         shown = np.interp(step + 0.5, bins.edges, place)
         ink, quiet, name = css(theme.text), css(theme.quiet), stage.error_name
         return readable(
-            f'<svg data-testid="run" viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" width="100%" '
+            f'<svg data-testid="run" data-marks="steps of the run" '
+            f'viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" width="100%" '
             f'style="display:block;cursor:pointer"><style>.bin:hover{{fill:{ink};'
             f"fill-opacity:.25}}</style>"
             f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}'

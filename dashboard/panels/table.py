@@ -14,7 +14,7 @@ from concord.dashboard.frames.stage import Stage
 from concord.dashboard.frames.verdict import RunVerdict, health
 from concord.dashboard.panels.charts import powered, shown_power
 from concord.dashboard.scene.signs import MARKS, colour_of
-from concord.dashboard.theme import Theme, css, letters_on
+from concord.dashboard.theme import Theme, css, ink, letters_on
 from concord.dashboard.view import View
 
 MOST_ROWS = 60
@@ -47,7 +47,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         )  # fmt: skip
         age = "-" if ages[node] < 0 else str(ages[node])
         cells.append(
-            f'<tr data-node="{node}" data-state="{words[node]}" tabindex="0" style="{marked}">'
+            f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
             f'<td title="{escape(stage.names[node])}" style="text-align:left"><span style="color:'
             f'{css(colour)}">{MARKS[words[node]]}</span> '
             f"{escape(stage.names[node])}</td>"
@@ -81,7 +81,7 @@ def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
         f'</style><div style="font-size:11px;color:{css(theme.text)};'
         f'overflow-x:auto;padding-right:8px">'
-        f'<table class="nodes" data-testid="nodes" style="border-collapse:'
+        f'<table class="nodes" data-testid="nodes" data-marks="nodes" style="border-collapse:'
         f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'
         f"</table>{more}</div>"
     )
@@ -152,7 +152,7 @@ def status(
     pill = (
         f'<span data-testid="run-state" style="background:{css(ground)};'
         f"color:{css(letters_on(ground))};border-radius:10px;padding:2px 10px;font-weight:700;"
-        f'font-size:11px">{escape(state)}</span> '
+        f'display:inline-block;font-size:11px">{escape(state)}</span> '
         f'<span data-testid="mode" style="font-weight:600;font-size:11px">{escape(mode)}</span> '
         f'<span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
     )
@@ -178,8 +178,8 @@ def status(
         for name, key, value, meaning in rows
     )
     failed = "".join(
-        f'<div data-testid="failure" style="margin-top:5px;font-size:11px;color:{css(theme.down)}">'
-        f"{escape(failure)}</div>"
+        f'<div data-testid="failure" style="margin-top:5px;font-size:11px;'
+        f'color:{ink(theme, theme.down)}">{escape(failure)}</div>'
         for failure in failures
     )
     pill += _verdict(theme, frame, state == "PAUSED", judged)
@@ -199,7 +199,7 @@ def status(
 
 
 def _bad(theme: Theme, holds: bool) -> str:
-    return f' style="color:{css(theme.down)};font-weight:600"' if holds else ""
+    return f' style="color:{ink(theme, theme.down)};font-weight:600"' if holds else ""
 
 
 def _number(value: float) -> str:
@@ -220,12 +220,12 @@ def _verdict(
     ill = health(frame)
     ailing = ill and (
         f' <span data-testid="health" style="font-size:12px;font-weight:600;'
-        f'color:{css(theme.sending if theme.dark else theme.down)}">{ill}</span>'
+        f'color:{ink(theme, theme.sending if theme.dark else theme.down)}">{ill}</span>'
     )
     good = {True: theme.fused, False: theme.down, None: theme.quiet}[judged.is_good]
     return (
         f'<div style="margin-top:7px"><b data-testid="verdict" style="font-size:15px;'
-        f'color:{css(good)}">{escape(judged.word)}</b>{ailing}<div style="font-size:11px;'
+        f'color:{ink(theme, good)}">{escape(judged.word)}</b>{ailing}<div style="font-size:11px;'
         f'color:{css(theme.quiet)}">{escape(judged.reason)}</div></div>'
     )
 

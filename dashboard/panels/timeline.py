@@ -9,6 +9,7 @@ from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.timeline_marks import (
     BAR,
     LEFT,
+    NUMBERS_END,
     ROW,
     TOP,
     WIDTH,
@@ -16,6 +17,7 @@ from concord.dashboard.panels.timeline_marks import (
     legend,
     missed_and_rejected,
     names_of_trains,
+    number,
     readable,
     silent_slot,
     slot,
@@ -53,7 +55,8 @@ class TimelineView:
         axis = Axis(max(one.bus.segments()[-1].end_us for one in (cycle, *past)))
         height = TOP + BAR + 12 + ROW * RASTER_ROWS + 4
         parts = [
-            f'<svg data-testid="timeline" viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
+            '<svg data-testid="timeline" data-marks="slots of the shown cycle" '
+            f'viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
             f'style="display:block;font-family:inherit" preserveAspectRatio="xMidYMin meet">',
             f"<style>.slot{{cursor:pointer}}.slot:hover rect{{stroke:{css(theme.text)};"
             f"stroke-width:2}}</style>",
@@ -74,10 +77,9 @@ class TimelineView:
     ) -> str:
         """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
-            f'<text class="wide" x="6" y="{TOP + 15:g}" font-size="11.5" '
-            f'fill="{css(theme.text)}">cycle</text>'
-            f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
-            f'data-testid="bus-cycle">{cycle.bus_cycle}</text>'
+            f'<text class="wide" x="{NUMBERS_END:g}" y="{TOP + 15:g}" font-size="11.5" '
+            f'text-anchor="end" fill="{css(theme.text)}">cycle</text>'
+            + number(cycle.bus_cycle, TOP + 29, css(theme.text), 'data-testid="bus-cycle"')
         ]
         for part in cycle.bus.segments():
             x, wide = (
@@ -159,14 +161,11 @@ def _grid_of_slots(axis: Axis, theme: Theme, bus: Bus) -> str:
 def _raster(axis: Axis, theme: Theme, past: Sequence[BusCycle]) -> str:
     """One row per past cycle and one path per row and colour."""
     parts: list[str] = []
-    for number, cycle in enumerate(past):
-        y = TOP + BAR + 12 + number * ROW
-        share = 1.0 - 0.065 * number
-        if number in (0, len(past) - 1, RASTER_ROWS // 2):
-            parts.append(
-                f'<text x="6" y="{y + ROW - 2:g}" font-size="11" fill="{css(theme.quiet)}">'
-                f"{cycle.bus_cycle}</text>"
-            )
+    for row, cycle in enumerate(past):
+        y = TOP + BAR + 12 + row * ROW
+        share = 1.0 - 0.065 * row
+        if row in (0, len(past) - 1, RASTER_ROWS // 2):
+            parts.append(number(cycle.bus_cycle, y + ROW - 2, css(theme.quiet)))
         for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
             boxes = [
                 axis.box(f.start_us, f.end_us, y) for f in cycle.frames if f.segment == segment

@@ -11,6 +11,9 @@ from concord.dashboard.theme import Theme, css, mixed
 
 WIDTH, LEFT, RIGHT = 1000.0, 62.0, 8.0
 TOP, BAR, ROW = 20.0, 34.0, 9.0
+NUMBERS_END = LEFT - 6.0
+"""Where the numbers of cycles end, left of the slots."""
+_DIGIT = 0.66  # width of a digit, of the size of its letters
 
 
 # Widths of a panel below which the letters of a drawing grow, in pixels; their size in it, the room
@@ -22,12 +25,22 @@ def readable(drawing: str) -> str:
     """Return a drawing of `WIDTH` whose letters can be read in a narrow panel too."""
     rules = "".join(
         f"@container (max-width:{most_px}px){{.drawing text{{font-size:{size}px}}"
+        f".drawing .number{{font-size:min({size}px,var(--most))}}"
         f".drawing .{left_out}{{display:none}}}}"
         for most_px, size, _, left_out in _NARROW
     )
     return (
         f'<div class="drawing" style="container-type:inline-size"><style>{rules}</style>'
         f"{drawing}</div>"
+    )
+
+
+def number(cycle: int, y: float, colour: str, attributes: str = "") -> str:
+    """Return the number of a cycle; growing letters stay between the edge and the slots."""
+    most_px = NUMBERS_END / (_DIGIT * len(str(cycle)))
+    return (
+        f'<text class="number" x="{NUMBERS_END:g}" y="{y:g}" font-size="11" text-anchor="end" '
+        f'style="--most:{most_px:.1f}px" fill="{colour}" {attributes}>{cycle}</text>'
     )
 
 
@@ -83,11 +96,11 @@ def slot(
     text = ""
     if wide > _room(_short(name)):
         size = 10 if wide < 22 else 11
-        ink = theme.panel if state != "future" else theme.quiet
+        letters = theme.panel if state != "future" else theme.text
         text = (
             f'<text{_if_wide(_short(name), wide)} x="{x + wide / 2:.1f}" '
             f'y="{top + high / 2 + 4:g}" font-size="{size}" '
-            f'text-anchor="middle" fill="{css(ink if theme.dark else _INK[state])}">'
+            f'text-anchor="middle" fill="{css(letters if theme.dark else _INK)}">'
             f"{escape(_short(name))}</text>"
         )
     mark = ""
@@ -174,13 +187,13 @@ def legend(theme: Theme, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
             f"{len(cycle.frames)} frames, load {load:.0f} % ({over_all:.2g} % of all)"
         )
     return (
-        f'<div style="display:flex;justify-content:space-between;flex-wrap:wrap;font-size:11px;'
-        f'color:{css(theme.quiet)};padding:2px 4px"><span>{spans}</span>'
-        f'<span data-testid="bus-load">{facts}</span></div>'
+        '<div class="bus-legend" style="display:flex;justify-content:space-between;'
+        f'flex-wrap:wrap;font-size:11px;color:{css(theme.quiet)};padding:2px 4px">'
+        f'<span>{spans}</span><span data-testid="bus-load">{facts}</span></div>'
     )
 
 
-_INK = {"past": (20, 30, 40), "now": (20, 30, 40), "future": (120, 126, 138)}
+_INK = (20, 30, 40)
 
 
 def _room(text: str) -> float:

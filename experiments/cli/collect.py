@@ -26,9 +26,9 @@ from concord.results.figures.summary_table import (
     title_of,
 )
 from concord.results.figures.timing_figures import TimingFigures, figures_of
-from concord.results.folder import Description, read_description, write_verdict
+from concord.results.folder import WITHOUT_CODE, Description, read_shown, write_verdict
 from concord.results.innovations.presentation import channel_table
-from concord.results.records.netcdf_file import RECORDING
+from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.runs import runs_of_trace
 from concord.results.records.trace import Trace
 from concord.results.run_results import (
@@ -51,6 +51,7 @@ from concord.results.verdict.findings import VerdictOnRuns
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
+from concord.scenarios.catalogue import is_received
 from concord.scenarios.user.trust import trust
 from concord.studies.alternative import BetterRule, labelled_beside
 
@@ -95,10 +96,15 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     """Finish the recording of a run that was interrupted; make its arrays, capture and figures."""
     with user_errors():
         trust(options.trust)
-        description = read_description(options.folder)
+        description = read_shown(options.folder)
         captures = Captures(options.capture == "all", options.capture_nodes)
         check_captures(description.setup, captures)
         if options.smooth:
+            if is_received(description.setup.scenario):
+                raise ValueError(
+                    "--smooth: needs the code of the plant; if it may run here, add "
+                    f"--trust {options.folder}"
+                )
             check_smoothing(description.setup)
         finish_recording(options.folder / RECORDING)
         trace = completed(options.folder, description)
@@ -133,7 +139,12 @@ def finish(
     description = as_it_ran(description, trace)
     runs = runs_of_trace(description.setup, trace)
     heard = heard_by_all(runs)
-    write_results(folder, description, trace, runs, captures, heard)
+    without_code = is_received(description.setup.scenario)
+    # The arrays and the verdict of a run's owner hold more than can be known without its code.
+    if not (without_code and (folder / ARRAYS).is_file()):
+        write_results(folder, description, trace, runs, captures, heard)
+    if without_code:
+        sys.stderr.write(WITHOUT_CODE.format(folder=folder))
     found = summarise(runs, heard=heard)
     figures = found.with_details(
         timing=_timing(folder, description, trace),
@@ -142,7 +153,13 @@ def finish(
     )
     if trace.damaged_bytes:
         figures = figures.with_details(damaged_bytes=trace.damaged_bytes)
-    show(figures, description, folder, shown, labelled_beside(runs, figures))
+    show(
+        figures,
+        description,
+        folder,
+        shown,
+        None if without_code else labelled_beside(runs, figures),
+    )
     return figures
 
 
@@ -169,7 +186,8 @@ def show(
     better: BetterRule | None = None,
 ) -> None:
     """Keep the verdict in run.json; print the figures of runs, and what comes next."""
-    write_verdict(folder, figures.verdict)
+    if description.verdict is None or not is_received(description.setup.scenario):
+        write_verdict(folder, figures.verdict)
     if shown.as_json:
         told = figures if better is None else figures.with_details(labelled=better._asdict())
         sys.stdout.write(told.as_json().decode() + "\n")

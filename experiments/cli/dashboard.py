@@ -14,7 +14,13 @@ import tyro
 
 from concord.experiments.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
-from concord.experiments.page_process import NETWORK_IS_GONE, PORT, RUN_AGAIN, RUN_IS_OVER
+from concord.experiments.page_process import (
+    NETWORK_IS_GONE,
+    NETWORK_RUNS,
+    PORT,
+    RUN_AGAIN,
+    RUN_IS_OVER,
+)
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
 from concord.runtime.network.network_file import read_network
@@ -101,7 +107,8 @@ def _begin(page: "Dashboard") -> None:
     page.server.on_client_connect(lambda _: somebody.set())
     if somebody.wait(_LONGEST_WAIT_S):
         page.source.ask({"do": "speed", "steps_per_second": _FIRST_STEPS_PER_S})
-    page.source.ask({"do": "resume"})
+    if page.source.ask({"do": "resume"}).accepted:
+        _tell_launcher(NETWORK_RUNS)
 
 
 def _tell_launcher(line: bytes) -> None:
@@ -154,6 +161,8 @@ def replay(
         return
     from concord.dashboard.serve import open_recording, other_run
     from concord.results.figures.intervals import ratio_t
+    from concord.results.folder import WITHOUT_CODE
+    from concord.scenarios.catalogue import is_received
 
     with user_errors():
         check_place(options.host, options.http_port, options.public_name)
@@ -171,6 +180,8 @@ def replay(
         page = open_recording(
             setup, file, options.host, options.http_port, options.light, others, other, verdict
         )
+    if is_received(setup.scenario):
+        sys.stderr.write(WITHOUT_CODE.format(folder=file.parent))
     sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
     try:
         with user_errors():
@@ -209,8 +220,8 @@ def _recorded(named: Path) -> tuple["Description", Path]:
     Raises:
         ValueError: there is none.
     """
-    from concord.results.folder import read_description, recording_of
+    from concord.results.folder import read_shown, recording_of
 
     folder = named.parent if named.is_file() else named
     recording = recording_of(folder)
-    return read_description(folder), recording
+    return read_shown(folder), recording

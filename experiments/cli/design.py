@@ -132,9 +132,11 @@ def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> 
     console.print(table(result))
     for line in lines(result):
         console.print(line, soft_wrap=True)
-    runs = sum(one.runs for one in (*result.tried, *result.attempts))
+    runs = sum(one.runs for one in (*result.tried, *result.attempts) if not one.exact)
+    exact = sum(one.exact for one in result.tried)
+    counted = f"{exact} of them exact, {runs} runs" if exact else f"{runs} runs"
     console.print(
-        f"{len(result.tried)} candidates, {runs} runs in {seconds:.0f} s, seed {result.seed}; "
+        f"{len(result.tried)} candidates, {counted} in {seconds:.0f} s, seed {result.seed}; "
         f"result in {out}; `concord plot {out}` draws the front", soft_wrap=True,
     )  # fmt: skip
 
@@ -160,7 +162,8 @@ def table(result: Design) -> Table:
         spent = (f"{one.costs[cost]:.3g}" for cost in costs)
         error = f"{one.error.value:.3g} {one.error.spread()}"
         age = "none" if one.age_bound_steps is None else str(one.age_bound_steps)
-        grid.add_row(*chosen, error, f"{one.anees.value:.2f}", *spent, age, str(one.runs))
+        runs = "exact" if one.exact else str(one.runs)
+        grid.add_row(*chosen, error, f"{one.anees.value:.2f}", *spent, age, runs)
     return grid
 
 
@@ -172,11 +175,9 @@ def lines(result: Design) -> list[str]:
     """Return the recommendation with its confidence, or the best that can be reached."""
     target = result.target.shown(result.unit)
     said = [
-        f"tried {command} on {one.runs} fresh runs: {one.error.value:.3g}, at most "
-        f"{one.error.high:.3g} with {100 * one.confidence:.4g} % confidence: "
+        f"tried {_in_words(one.values)} {_found(one)}: "
         f"{'meets' if one.meets else 'does not surely meet'} the target"
         for one in result.attempts
-        for command in [_in_words(one.values)]
     ]
     if result.recommended is not None:
         values = {**result.settled, **result.recommended.values}
@@ -199,6 +200,15 @@ def lines(result: Design) -> list[str]:
         f"no candidate surely meets {target}; the best reached is {interval} in {best.runs} runs: "
         f"{words}",
     ]
+
+
+def _found(one: Attempt) -> str:
+    if one.exact:
+        return f"exactly, without runs: {one.error.value:.3g}"
+    return (
+        f"on {one.runs} fresh runs: {one.error.value:.3g}, at most {one.error.high:.3g} with "
+        f"{100 * one.confidence:.4g} % confidence"
+    )
 
 
 def _in_words(values: Values) -> str:

@@ -65,7 +65,7 @@ def identify_values(
                 raise ValueError(f"--out {options.out}: the file exists; choose another name")
             make_folder(options.out.parent, "--out", options.out)
         seek = [one.strip() for one in (options.seek or "").split(",") if one.strip()]
-        with progress("identify, at most", _PARTS, as_json=options.json) as on_part:
+        with progress("identify", _PARTS, as_json=options.json) as on_part:
             result = identify(found, seek, lambda done, most: on_part(_PARTS * done // most))
         if options.out is not None:
             result.write(options.out)

@@ -34,6 +34,8 @@ from concord.topology.names import unknown_name
 if TYPE_CHECKING:
     import xarray
 
+    from concord.results.folder import Description
+
 
 @dataclass(frozen=True)
 class ReportOptions:
@@ -177,13 +179,16 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     from concord.results.figures.summary import summarise
     from concord.results.figures.summary_table import lines
-    from concord.results.folder import BATCHED, read_description
+    from concord.results.folder import BATCHED, WITHOUT_CODE, read_shown
     from concord.results.records.netcdf_file import ARRAYS
     from concord.results.records.runs import runs_of_trace
     from concord.results.records.runs_file import read_runs
     from concord.results.run_results import as_it_ran, completed
+    from concord.scenarios.catalogue import is_received
 
-    description = read_description(folder)
+    description = read_shown(folder)
+    if is_received(description.setup.scenario):
+        sys.stderr.write(WITHOUT_CODE.format(folder=folder))
     if description.driver == BATCHED:
         figures = summarise(*read_runs(folder / ARRAYS, description.setup))
     else:
@@ -204,9 +209,16 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
         Paragraph(figures.verdict.in_words()),
         *(Paragraph(one.in_words()) for one in figures.outages),
         *(Paragraph(text) for text in lines(figures)),
+        Paragraph(f"States: {_states(description)}."),
         Grid(head, [*rows, ["all", *whole]], 1),
         *_provenance({"commit": str(description.commit), **description.versions}, scenario),
     ]
+
+
+def _states(description: "Description") -> str:
+    found = description.states
+    pairs = [] if found is None else zip(found.names, found.units, strict=True)
+    return ", ".join(f"{name} [{unit}]" for name, unit in pairs) or "run.json does not name them"
 
 
 def _provenance(versions: Mapping[str, str], what: str) -> Sequence[PagePart]:

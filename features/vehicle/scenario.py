@@ -10,8 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +17,7 @@ from concord.features.vehicle.identification.sought import value_at, with_value
 from concord.features.vehicle.options import AdaptiveUnscented, VehicleNetwork
 from concord.features.vehicle.plant.cars import FITTED_CARS
 from concord.features.vehicle.plant.corrections import channels_of_nodes
+from concord.features.vehicle.plant.drive import Drive
 from concord.features.vehicle.plant.drive_log import (
     POSITION_CHANNELS,
     delays_in,
@@ -44,6 +43,7 @@ from concord.features.vehicle.plant.replay import replayed
 from concord.features.vehicle.plant.sensors import SensorError
 from concord.features.vehicle.plant.validity import outside_model
 from concord.filters.gaussian import Gaussian
+from concord.plants.recorded.log_file import while_files_stay
 from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Declared, Explanation, ScenarioDefinition, Score
@@ -55,7 +55,6 @@ from concord.topology.names import unknown_name
 TIME_STEP_S = 0.005
 """One cycle of the car's bus."""
 
-T = TypeVar("T")
 Errors = tuple[tuple[SensorError, ...], ...]
 
 
@@ -75,18 +74,7 @@ on, or a quarter as much. Readings have 2 % of outliers of 20 times the noise, o
 standard deviation."""
 
 
-def _while_files_stay(read: Callable[[str], T]) -> Callable[[str], T]:
-    """A function of a log's folder, called again only after one of its files has changed."""
-    cached = cache(lambda data, _files: read(data))
-
-    def read_once(data: str) -> T:
-        stats = {one.name: one.stat() for one in Path(data).glob("*")}
-        return cached(data, tuple((n, at.st_mtime_ns, at.st_size) for n, at in stats.items()))
-
-    return read_once
-
-
-@_while_files_stay
+@while_files_stay
 def _logged(data: str) -> DrivenOnce:
     log = read_log(data)
     try:
@@ -96,12 +84,16 @@ def _logged(data: str) -> DrivenOnce:
 
 
 @cache
-def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
+def _drive(car: str, manoeuvre: str) -> Drive:
     # Only here: a node believes in a model and never simulates the truth.
     from concord.features.vehicle.plant.truth import TRUE_CARS, simulate
 
-    drive = simulate(MANOEUVRES[manoeuvre], TRUE_CARS[car], TIME_STEP_S)
-    return simulated(drive, FITTED_CARS[car], NOISES[noise])
+    return simulate(MANOEUVRES[manoeuvre], TRUE_CARS[car], TIME_STEP_S)
+
+
+@cache
+def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
+    return simulated(_drive(car, manoeuvre), FITTED_CARS[car], NOISES[noise])
 
 
 def _plant(scenario: Scenario) -> DrivenOnce:
@@ -139,12 +131,12 @@ def _believed(car: Car, noise_factor: float, positioned: bool) -> DrivenCar:
     return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S), noise_factor, positioned)
 
 
-@_while_files_stay
+@while_files_stay
 def _car(data: str) -> Car:
     return read_car(data)
 
 
-@_while_files_stay
+@while_files_stay
 def _positioned(data: str) -> bool:
     """Whether a log has positions, so that the state holds the place of the car."""
     return set(POSITION_CHANNELS) <= logged_channels(data)
@@ -226,7 +218,7 @@ def _reference_cov(scenario: Scenario) -> float:
     return 0.0 if data is None else _car(data).sensors.side_slip.noise ** 2
 
 
-@_while_files_stay
+@while_files_stay
 def _logged_nodes_without_data(data: str) -> tuple[int, ...]:
     there = logged_channels(data)
     of_nodes = enumerate(channels_of_nodes(_car(data)))
@@ -239,7 +231,7 @@ def _without_data(scenario: Scenario) -> tuple[int, ...]:
     return () if data is None else _logged_nodes_without_data(data)
 
 
-@_while_files_stay
+@while_files_stay
 def _late(data: str) -> tuple[int, ...]:
     """Steps from the instant of a reading to its delivery, which waits for the last channel."""
     car, delays = _car(data), delays_in(data)

@@ -7,7 +7,7 @@ import numpy as np
 from concord.filters.fusion.averaging import Directly, Fused, covariance_intersection
 from concord.filters.fusion.hold import check_weights, inverse_volume, times_inverse_volume
 from concord.filters.gaussian import Gaussian, joined
-from concord.filters.linalg import inverse_spd
+from concord.filters.linalg import inverse_spd, multiply
 
 # Many more steps would give some neighbours all the weight, and others none.
 _STEPS = 5
@@ -54,9 +54,14 @@ def sharpened(covs: np.ndarray, weights: np.ndarray) -> np.ndarray:
     check_weights(weights)
     states = covs.shape[-1]
     unused = (weights == 0)[..., None, None]
-    information = inverse_spd(np.where(unused, np.eye(states), covs))
+    if unused.any():
+        covs = np.where(unused, np.eye(states), covs)
+    information = inverse_spd(covs)
+    # With rows of all entries, both sums are products of one matrix and one vector.
+    rows = information.reshape(*information.shape[:-2], states * states)
     for _ in range(_STEPS):
-        fused = inverse_spd(np.einsum("...j,...jab->...ab", weights, information))
-        weights = weights * np.einsum("...ab,...jba->...j", fused, information) / states
+        average = multiply(rows.mT, weights)
+        fused = inverse_spd(average.reshape(*average.shape[:-1], states, states))
+        weights = weights * multiply(rows, fused.reshape(average.shape)) / states
     # Their sum is 1 but for rounding.
     return weights / weights.sum(axis=-1, keepdims=True)

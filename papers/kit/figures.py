@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from concord.results.records.netcdf_file import write_dataset
+from concord.results.records.netcdf_file import Arrays, write_arrays
 
 # Okabe and Ito's colours, which most people can tell apart.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -74,11 +74,5 @@ def write_traces(
     Raises:
         NotWritten: the disk does not take it.
     """
-    # Only here: its import takes half a second.
-    import xarray
-
-    dataset = xarray.Dataset(
-        {name: (tuple(axes), values) for name, (axes, values) in variables.items()},
-        {axis: list(labels) for axis, labels in coordinates.items()},
-    )
-    write_dataset(dataset, folder / TRACES)
+    labelled = {axis: list(labels) for axis, labels in coordinates.items()}
+    write_arrays(Arrays(variables, labelled, {}), folder / TRACES)

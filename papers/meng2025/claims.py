@@ -104,26 +104,30 @@ def _signed(one: Interval) -> str:
     return f"{one.value:+.4f} ± {(one.high - one.low) / 2:.4f}"
 
 
-# --- errata, numbered as docs/papers/meng2025.md explains them -----------------------------------
+# --- errata --------------------------------------------------------------------------------------
 
 PRINTED = (
     ("(19)", "P_yy with noise on the fresh rows alone", "singular beyond 2n + 1 entries"),
-    ("(17), (18)", "held rows predicted for another instant", "the held value is known: use it"),
+    ("(17), (18)", "held rows predicted for another instant",
+     "the held value is known, and belongs in the place of both"),
     ("(19)", "held values without noise", "the noise that is in a held value"),
-    ("(20)", "points without process noise paired with points with it", "redraw the points"),
+    ("(20)", "points without process noise paired with points with it",
+     "redraw the points; the pairing depends on the choice of the root of P"),
     ("(15)", "ybar and the predictions of step 0", "undefined; here those of the prior"),
     ("(13), (19)", "E(g g') and E(b b')", "Pi (x' Gamma x + tr(Gamma P))"),
     ("(2)", "q; R_1 as a set of two", "q = ceil(s / l1)"),
     ("(3)", "Phi for scalar sensors", "blocks for sensors that measure vectors"),
     ("(4)", "weights; ties", "not given; here the identity, and the lowest node"),
     ("(1)", "the time of f and h", "f: of the state it moves; h: of the state it sees"),
-    ("Remark 1", "smaller alpha and gamma decrease the complexity", "the points are as many"),
+    ("Remark 1", "smaller alpha and gamma decrease the complexity",
+     "the points are as many; alpha = 0 is admitted and divides by zero"),
     ("section 4", "the index of the MSE", "undefined; here the mean over runs at each step"),
     ("Figure 4", "an upper bound of the MSE", "derived nowhere; the nearest is tr P"),
     ("section 4", "the initial state", "not given; here drawn from the prior"),
-    ("(10)", "the root of P", "rows or columns is not said; here columns of the Cholesky factor"),
+    ("(10)", "the root of P",
+     "rows or columns is not said; here columns of the lower Cholesky factor"),
     ("section 4", "data transmission is effectively reduced", "by construction"),
-)
+)  # fmt: skip
 
 
 def errata(recommended: SlotEstimates, rows: dict[str, EstimatorRow]) -> list[Erratum]:
@@ -132,7 +136,7 @@ def errata(recommended: SlotEstimates, rows: dict[str, EstimatorRow]) -> list[Er
     points = " and ".join(str(len(paper_points(alpha).unit_points)) for alpha in (1.0, 0.1))
     added = {
         7: f"; then the slots are {order_of_slots(recommended, 10)}",
-        11: f": {points} for alpha 1 and 0.1; alpha = 0 is admitted and divides by zero",
+        11: f"; {points} of them for alpha 1 and 0.1",
         16: f": {100 * recommended.sent.mean():.1f} % of the measurements are sent; with all of "
         f"them the mean square error is smaller by a factor of {ours / every:.1f}",
     }

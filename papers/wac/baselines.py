@@ -30,14 +30,16 @@ PLANTS = {
 }
 RULES = {"wac": "paper", "ci": "-", "hcmci": "-", "icf": "[49]", "kcf": "[50]"}
 STEPS, RUNS = 100, 12
+BOUNDED = 3.0
+"""The distance of a bounded loop grows by less from the first half of the steps to the second."""
 
 
 class SensorlessLoop(NamedTuple):
     """Root mean square distance of the output from that of the loop through the true state, over
-    the deviation of the output itself; and whether all states stayed finite."""
+    the output itself; and that distance in the second half of the steps over the first half."""
 
     away: float
-    bounded: bool
+    growth: float
 
 
 def _scenario(plant: str, **options: object) -> Scenario:
@@ -62,10 +64,14 @@ def sensorless(seed: int) -> dict[str, SensorlessLoop]:
         for control in ("truth", str(BLIND_NODE)):
             setup = prepare(_scenario(plant, control=control, seed=seed))
             outputs.append(simulate(setup, range(RUNS), keep=()).truth[..., OUTPUT[plant]])
-        apart = np.sqrt(np.mean((outputs[1] - outputs[0]) ** 2))
-        size = np.sqrt(np.mean(outputs[0] ** 2))
-        found[plant] = SensorlessLoop(float(apart / size), bool(np.isfinite(outputs[1]).all()))
+        apart = outputs[1] - outputs[0]
+        first, second = map(_size, np.split(apart, 2, axis=1))
+        found[plant] = SensorlessLoop(_size(apart) / _size(outputs[0]), second / first)
     return found
+
+
+def _size(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def section(
@@ -82,17 +88,15 @@ def section(
         "the RMSE of the scored states over the centralised one, ANEES, and the largest eigenvalue "
         "of P^-1 E[e e'] over nodes and steps; above 1 the rule is overconfident.\n\n"
     )
-    driven = [
-        (plant, f"{one.away:.2g}", "yes" if one.bounded else "NO") for plant, one in loops.items()
-    ]
+    driven = [(plant, f"{one.away:.2g}", f"{one.growth:.2g}") for plant, one in loops.items()]
     text += markdown_table(head, rows)
     text += (
         "\n\nThe sensorless loop: the controller takes the estimate of node "
-        f"{BLIND_NODE}, which measures nothing. {RUNS} runs.\n\n"
+        f"{BLIND_NODE}, which measures nothing. {RUNS} runs. Distances are from the output of the "
+        "loop through the truth, over that output. The bus is at rest there, and the first error "
+        "of the estimate alone moves it.\n\n"
     )
-    text += markdown_table(
-        ("plant", "output away from the loop through the truth", "bounded"), driven
-    )
+    text += markdown_table(("plant", "distance", "second half of the steps over first"), driven)
     file = _draw(folder, exact)
     caption = "Error of each rule over the centralised filter's, exact"
     checks: list[Check] = [
@@ -118,11 +122,14 @@ def _draw(folder: Path, exact: dict[str, dict[str, Exact]]) -> str:
     for axes, (plant, rules) in zip(figure.subplots(2, 3).flat, exact.items(), strict=False):
         for rule, one in rules.items():
             ratio = np.sqrt(one.squares[0].mean(-1) / one.squares_centralised)
-            axes.plot(ratio, label=rule, linewidth=1)
-        axes.set(title=plant, xlabel="step")
+            axes.plot(ratio, "--" if rule == "icf" else "-", label=rule, linewidth=1)
+        axes.set(title=plant, xlabel="step", yscale="log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
     figure.axes[0].set_ylabel("RMSE over the centralised")
-    figure.axes[0].legend(frameon=False)
-    figure.axes[-1].set_visible(False)
+    last = figure.axes[-1]
+    last.legend(*figure.axes[0].get_legend_handles_labels(), loc="center", frameon=False)
+    last.set_axis_off()
     return save(figure, folder, "baselines")
 
 
@@ -143,12 +150,13 @@ def claims(measured: NamedFigures, loops: dict[str, SensorlessLoop]) -> list[Cla
                 f"{least_damping:.3f}: a rule for two poles without a zero, and these loops have "
                 "more", test="every finding")
         )  # fmt: skip
-    worst = max(one.away for one in loops.values())
+    away = ", ".join(f"{plant} {one.away:.2g}" for plant, one in loops.items())
+    growth = max(one.growth for one in loops.values())
     found.append(
         Claim("title, VI", "the estimates allow a design without sensors",
-            [needs(float(one.bounded), at_least=1.0) for one in loops.values()],
-            f"closed through a node without sensor, all {len(loops)} loops stay bounded with "
-            f"matched noise; the output is at most {worst:.2g} of its own size away from that of "
-            "the loop through the truth")
+            [needs(one.growth, at_most=BOUNDED) for one in loops.values()],
+            "closed through a node without sensor, with matched noise. Distance from the output "
+            f"of the loop through the truth, over that output: {away}. The bus is at rest there. "
+            f"From the first half of the steps to the second it grows by {growth:.2g} at most")
     )  # fmt: skip
     return found

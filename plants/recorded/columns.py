@@ -25,6 +25,10 @@ _BYTE = 255
 _HUGE = 1e30
 # The same number again and again so far from all others is no reading of a sound sensor.
 _FAR_DEVIATIONS, _FAR_SPANS = 100.0, 10.0
+# Pulses repeat a smaller number too.
+_LEAST_REPEATED = 1000.0
+# Of its size: values of several meanings, such as 65534 and 65535, lie so near each other.
+_NEIGHBOURS = 0.01
 # A number of more than a fifth of all readings is a level.
 _MOST_SHARE = 0.2
 
@@ -205,27 +209,31 @@ def _not_available(
         # A number of a file may have fewer digits than that of the map.
         near = np.isclose(numbers[:, None], np.array(said, dtype=float), rtol=1e-8, atol=0.0)
         return np.asarray(near.any(axis=1))
-    for value in stands_for_none(numbers):
-        others, count = numbers[numbers != value], int((numbers == value).sum())
+    if absent := stands_for_none(numbers):
+        none = np.isin(numbers, absent)
+        others = numbers[~none]
+        values = [f"{value:.12g}" for value in absent]
         raise ValueError(
-            f"{column.column!r} for {quantity} is {value:.12g} in {count} of "
+            f"{column.column!r} for {quantity} is {' or '.join(values)} in {int(none.sum())} of "
             f"{int(np.isfinite(numbers).sum())} readings, which is far from all others "
             f"({np.nanmin(others):.6g} to {np.nanmax(others):.6g}); write not_available = "
-            f"[{value:.12g}] in the column map if it says that there is none, or not_available = "
-            "[] if it is a reading"
+            f"[{', '.join(values)}] in the column map if it says that there is none, or "
+            "not_available = [] if it is a reading"
         )
     return np.zeros(len(numbers), dtype=bool)
 
 
 def stands_for_none(numbers: np.ndarray) -> tuple[float, ...]:
-    """Return the number in a series (n,) that hardly is a reading; none where all may be."""
+    """Return the number in a series (n,) that hardly is a reading, with neighbours that hardly are
+    either; none where all may be readings."""
     finite = numbers[np.isfinite(numbers)]
     ends = sorted({float(finite.min()), float(finite.max())}) if len(finite) else []
-    return tuple(
-        value
-        for value in ends
-        if _is_far(value, finite[finite != value], int((finite == value).sum()))
-    )[:1]
+    for value in ends:
+        near = np.abs(finite - value) <= _NEIGHBOURS * abs(value)
+        same = near if value in _FULL_SCALE or abs(value) >= _HUGE else finite == value
+        if _is_far(value, finite[~same], int(same.sum())):
+            return tuple(np.unique(finite[same]).tolist())
+    return ()
 
 
 def _is_far(value: float, others: np.ndarray, count: int) -> bool:
@@ -239,7 +247,8 @@ def _is_far(value: float, others: np.ndarray, count: int) -> bool:
         # Of two levels, such as 0 and 255, both may be readings of a switch or a counter.
         return bool(np.ptp(others) > 0) or abs(value) > _BYTE
     is_level = count > _MOST_SHARE * (count + len(others)) or np.ptp(others) == 0
-    return count > 1 and not is_level and distance > _FAR_DEVIATIONS * float(np.std(others))
+    is_odd = count > 1 and not is_level and abs(value) >= _LEAST_REPEATED
+    return is_odd and distance > _FAR_DEVIATIONS * float(np.std(others))
 
 
 def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.ndarray:

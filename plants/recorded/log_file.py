@@ -2,9 +2,14 @@
 
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cache
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+
+Read = TypeVar("Read")
 
 
 class LogFile(ABC):
@@ -50,3 +55,16 @@ class LogFile(ABC):
 def say(line: str) -> None:
     """Write a line about a log to the standard error."""
     sys.stderr.write(f"{line}\n")
+
+
+def while_files_stay(read: Callable[[str], Read]) -> Callable[[str], Read]:
+    """Return a function of a log, a file or a folder, that reads again only a log that changed."""
+    cached = cache(lambda data, _files: read(data))
+
+    def read_once(data: str) -> Read:
+        path = Path(data)
+        files = path.glob("*") if path.is_dir() else [path] * path.is_file()
+        stats = {one.name: one.stat() for one in files}
+        return cached(data, tuple((n, at.st_mtime_ns, at.st_size) for n, at in stats.items()))
+
+    return read_once

@@ -48,6 +48,11 @@ class McapFile(LogFile):
         )
         self._topic = cache(self._read_topic)
 
+    @property
+    def stamping(self) -> tuple[str, ...]:
+        """The stamps in headers."""
+        return tuple(name for name in self.names if name.endswith(".header.stamp"))
+
     def series(self, name: str) -> np.ndarray:
         """Return the numbers (n,) of a field, NaN in a message without it."""
         topic, _, path = name.partition(".")  # names of topics have no point

@@ -161,6 +161,10 @@ FIGURES: dict[str, Figure] = {
         _RUN, "score", "root mean square distance from the nodes' average",
         lambda view: view.root(view.spreads, (1, 2)), "rms",
     ),
+    "from_centralised": Figure(
+        _RUN, "score", "root mean square distance from the filter that hears everything",
+        lambda view: view.root(view.squares_from_centralised, (1, 2)), "rms",
+    ),
     "anees": Figure(
         _RUN, "1", "normalised squared error per state; above 1 is overconfident",
         lambda view: view.mean(view.errors.nees, (1, 2)),

@@ -86,7 +86,7 @@ def bound_of(runs: Runs) -> np.ndarray:
     setup, definition = runs.setup, definition_of(runs.setup.scenario)
     steps, n = runs.truth.shape[1:]
     # The bound's model does not cover another wiring, a set-valued rule or a gate.
-    if definition.wirings or not filters_step_by_step(setup):
+    if definition.is_received or definition.wirings or not filters_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
     assert runs.readings is not None, "keep the readings"
     groups = definition.sensor_groups(with_scripted_moves(setup).scenario)

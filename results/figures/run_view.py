@@ -22,8 +22,11 @@ from concord.results.figures.traffic import traffic_of
 from concord.results.records.extras import run_extras
 from concord.results.records.runs import Runs
 from concord.scenarios.baselines import local_only_of_runs
-from concord.scenarios.catalogue import definition_of, scored_nees
+from concord.scenarios.catalogue import beside_truth, definition_of, scored_nees
 from concord.scenarios.rule_table.rules import is_set_valued
+
+# Covariances of so many filters beside are in memory at once.
+_LANES_AT_ONCE = 1_024
 
 
 class RunView:
@@ -74,14 +77,29 @@ class RunView:
     @cached_property
     def squares_alone(self) -> np.ndarray:
         """The same (R, S, N) of nodes without neighbours."""
-        runs = self.runs
-        alone = local_only_of_runs(self.setup, runs.runs.tolist(), self.readings, runs.control)
-        return (errors_alone(self.setup, self._known, alone.mean) ** 2).sum(-1)
+        nodes = self.setup.scenario.nodes
+        size = max(1, _LANES_AT_ONCE // nodes)
+        runs = [
+            self.runs.of(slice(first, first + size))
+            for first in range(0, len(self.runs.runs), size)
+        ]
+        return np.concatenate([_squares_alone(part) for part in runs])
 
     @cached_property
     def spreads(self) -> np.ndarray:
         """Squared distances (R, S, N) from the average of the nodes."""
         return (self.errors.spread**2).sum(-1)
+
+    @cached_property
+    def squares_from_centralised(self) -> np.ndarray:
+        """Squared distances (R, S, N) from the filter that hears everything; NaN for scenarios
+        whose estimates are no states."""
+        runs = self.runs
+        if runs.extras:
+            return np.full(self.blind.shape, np.nan)
+        centre = self.frame.mean[:, :, None]
+        apart = beside_truth(self.setup.scenario, runs.mean, centre) - centre
+        return (apart[..., list(self.score.states)] ** 2).sum(-1)
 
     @cached_property
     def near(self) -> np.ndarray:
@@ -177,6 +195,14 @@ class RunView:
                 _roots(np.trace(self.frame.cov, axis1=-2, axis2=-1)),
             ),
         )  # fmt: skip
+
+
+def _squares_alone(runs: Runs) -> np.ndarray:
+    assert runs.readings is not None, "RunView has looked"
+    told = runs.readings, runs.control, runs.prior_mean
+    alone = local_only_of_runs(runs.setup, runs.runs.tolist(), *told)
+    known = RunTruths(runs.truth, runs.readings, runs.extras)
+    return (errors_alone(runs.setup, known, alone.mean) ** 2).sum(-1)
 
 
 class SetsBesideTruth(NamedTuple):

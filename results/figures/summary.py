@@ -97,7 +97,8 @@ def heard_by_all(runs: Runs) -> HearsAll | None:
     if runs.innovations is None:
         return None
     assert runs.readings is not None, "keep the readings"
-    return innovations_of_all(runs.setup, runs.runs.tolist(), runs.readings, runs.control)
+    numbers = runs.runs.tolist()
+    return innovations_of_all(runs.setup, numbers, runs.readings, runs.control, runs.prior_mean)
 
 
 def summarise(runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = None) -> Summary:
@@ -109,7 +110,8 @@ def summarise(runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = 
     heard = heard or heard_by_all(runs)
     if heard is None:
         assert runs.readings is not None, "keep the readings"
-        belief = centralised_of_runs(setup, numbers, runs.readings, runs.control)
+        told = runs.readings, runs.control, runs.prior_mean
+        belief = centralised_of_runs(setup, numbers, *told)
     else:
         belief = heard.belief
     view = RunView(runs, without_bound(belief))

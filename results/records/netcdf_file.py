@@ -1,13 +1,14 @@
 """A data set as a netCDF file, written whole or not at all, and read whole or refused.
 
 HDF5 crashes the process that closes a file of which a full disk has not taken all (h5py 3.16,
-HDF5 2.0). So it writes into memory.
+HDF5 2.0). So it writes into memory. `Arrays` spares a run xarray, which takes longer to load than
+many runs take: with it come pandas, and all of dask where that is installed.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,25 +34,95 @@ if TYPE_CHECKING:
     import xarray
 
 
-def write_dataset(
-    dataset: "xarray.Dataset", path: Path, encoding: dict[str, dict[str, Any]] | None = None
-) -> None:
-    """Write a data set; an older file of that name is replaced when the new one is whole.
+class Arrays(NamedTuple):
+    """The parts of a data set: by name, (dimensions, values[, attributes]), or the values alone
+    of a coordinate along its own dimension."""
+
+    variables: Mapping[str, Any]
+    coordinates: Mapping[str, Any]
+    attributes: Mapping[str, Any]
+
+
+def arrays_of(dataset: "xarray.Dataset") -> Arrays:
+    """The arrays of a data set."""
+    variables, coordinates = (
+        {str(name): (one.dims, one.values, one.attrs) for name, one in some.items()}
+        for some in (dataset.data_vars, dataset.coords)
+    )
+    return Arrays(variables, coordinates, {str(key): one for key, one in dataset.attrs.items()})
+
+
+def write_arrays(arrays: Arrays, path: Path, compressed: bool = False) -> None:
+    """Write netCDF 4 by the conventions of xarray, which reads the same data set from it; an older
+    file of that name is replaced when the new one is whole.
 
     Raises:
         NotWritten: the disk does not take it.
     """
-    from xarray.backends import H5NetCDFStore
+    # Only here: many programs write no file.
+    from h5netcdf import File
 
-    buffer = BytesIO()
-    # `to_netcdf` asks for a lock, and loads all of dask for it where that is installed.
-    store = H5NetCDFStore.open(buffer, mode="w", lock=False)
-    try:
-        dataset.dump_to_store(store, encoding=encoding)
-    finally:
-        store.close()
+    coordinates = {name: _parts(name, one) for name, one in arrays.coordinates.items()}
+    variables = {name: _parts(name, one) for name, one in arrays.variables.items()}
+    every, buffer = coordinates | variables, BytesIO()
+    # A coordinate of another name than its dimension belongs to the variables along that.
+    aside = {name: set(one[0]) for name, one in coordinates.items() if one[0] != (name,)}
+    free = set(aside)
+    with File(buffer, "w") as file:
+        file.dimensions = {
+            axis: size
+            for dimensions, values, _ in every.values()
+            for axis, size in zip(dimensions, values.shape, strict=True)
+        }
+        for name, (dimensions, values, attributes) in every.items():
+            beside = [one for one in sorted(aside) if aside[one] <= set(dimensions)]
+            if name not in coordinates and beside:
+                attributes = {**attributes, "coordinates": " ".join(beside)}
+                free -= set(beside)
+            _write(file, name, dimensions, values, attributes, compressed and values.ndim > 0)
+        file.attrs.update(arrays.attributes)
+        if free:
+            file.attrs["coordinates"] = " ".join(sorted(free))
     with whole_file(path) as part:
         part.write_bytes(buffer.getbuffer())
+
+
+def _parts(name: str, told: Any) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
+    """Return dimensions, values and attributes as they stand in a file."""
+    dimensions, values, *more = told if isinstance(told, tuple) else (name, told)
+    dimensions = (dimensions,) if isinstance(dimensions, str) else tuple(dimensions)
+    values, attributes = np.asarray(values), dict(*more)
+    if values.dtype == bool:
+        return dimensions, values.astype(np.int8), attributes | {"dtype": "bool"}
+    return dimensions, values.astype(object) if values.dtype.kind == "U" else values, attributes
+
+
+def _write(
+    file: Any,
+    name: str,
+    dimensions: tuple[str, ...],
+    values: np.ndarray,
+    attributes: dict[str, Any],
+    compressed: bool,
+) -> None:
+    from h5py import string_dtype
+
+    dtype = string_dtype() if values.dtype.kind == "O" else values.dtype
+    is_filled = values.dtype.kind == "f" and dimensions != (name,)
+    variable = file.create_variable(
+        name,
+        dimensions,
+        dtype,
+        values,
+        fillvalue=values.dtype.type(np.nan) if is_filled else None,
+        **({"compression": "gzip", "compression_opts": 4} if compressed else {}),
+    )
+    variable.attrs.update(attributes)
+
+
+def write_dataset(dataset: "xarray.Dataset", path: Path, compressed: bool = False) -> None:
+    """Write a data set, as `write_arrays` does."""
+    write_arrays(arrays_of(dataset), path, compressed)
 
 
 def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Dataset":

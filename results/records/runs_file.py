@@ -8,7 +8,7 @@ import numpy as np
 
 from concord.results.bus.bus_times import times_of
 from concord.results.records.extras import Past, run_extras
-from concord.results.records.netcdf_file import read_dataset, state_coordinates
+from concord.results.records.netcdf_file import Arrays, read_dataset, state_coordinates
 from concord.results.records.runs import RunCost, Runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.innovations import HearsAll, Innovations
@@ -56,9 +56,15 @@ _INNOVATIONS = {
 }
 
 
-def runs_dataset(
-    runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = None
-) -> "xarray.Dataset":
+def runs_dataset(runs: Runs) -> "xarray.Dataset":
+    """Return the record as a data set of xarray."""
+    # Only here: a run that writes a file needs no xarray.
+    import xarray
+
+    return xarray.Dataset(*runs_arrays(runs))
+
+
+def runs_arrays(runs: Runs, cost: RunCost | None = None, heard: HearsAll | None = None) -> Arrays:
     """Return the record with named dimensions and units.
 
     Args:
@@ -66,9 +72,6 @@ def runs_dataset(
         cost: what the runs cost, as attributes.
         heard: the filter that hears everything; its innovations are more variables.
     """
-    # Loading xarray can take longer than a run, so it is loaded only to write a file.
-    import xarray
-
     setup = runs.setup
     definition = definition_of(setup.scenario)
     variables: dict[str, Any] = {
@@ -77,7 +80,9 @@ def runs_dataset(
         if (one := getattr(runs, name)) is not None
     }
     names = definition.plant(setup.scenario).state_names
-    variables["nees"][2]["states"] = [names[i] for i in definition.score.nees_states]
+    score = definition.score
+    variables["nees"][2]["states"] = [names[i] for i in score.nees_states]
+    variables["mean"][2].update(scored=[names[i] for i in score.states], scored_unit=score.unit)
     if is_set_valued(setup.scenario):
         variables["nees"][2]["meaning"] = _SET
     variables |= {
@@ -109,7 +114,7 @@ def runs_dataset(
         "sender": ("link", runs.links[1]),
     }
     attributes = {"scenario": msgspec.json.encode(setup.scenario).decode()}
-    return xarray.Dataset(variables, coordinates, attributes | (cost._asdict() if cost else {}))
+    return Arrays(variables, coordinates, attributes | (cost._asdict() if cost else {}))
 
 
 def _of_one_run(runs: Runs) -> dict[str, Any]:

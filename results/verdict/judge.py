@@ -33,7 +33,7 @@ from concord.results.verdict.honesty import (
     outside_in_words,
     times_claimed,
 )
-from concord.scenarios.catalogue import definition_of
+from concord.scenarios.catalogue import as_long_as, definition_of
 from concord.scenarios.innovations import HearsAll, Innovations
 from concord.scenarios.scenario_definition import Explanation
 from concord.scenarios.setup import Setup
@@ -158,7 +158,8 @@ def _enough(view: RunView) -> str:
     most = int(where_counted(view.counted, taken.astype(float))[:, first:].sum(axis=(0, 1)).max())
     # Twice as many readings of the busiest node as a test needs, or twice as many as there were.
     least = max(2 * BATCHES, ceil(2 * LEAST_UPDATES * counted / most) if most else 0)
-    return f"--steps {first + (least if counted < least else 2 * counted)}"
+    enough = first + (least if counted < least else 2 * counted)
+    return as_long_as(view.setup.scenario, enough)
 
 
 def _tails(view: RunView) -> Iterator[Finding]:

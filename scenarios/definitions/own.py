@@ -1,8 +1,8 @@
 """Scenarios of the user's own: a plant and sensors given as functions and covariances."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from concord.plants.own_truth import (
     TruePlant,
     sensors_of_nodes,
 )
+from concord.plants.recorded.log_file import while_files_stay
 from concord.scenarios.definitions.late_readings import refuse_late
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import Declared, ScenarioDefinition, Score
@@ -71,38 +72,51 @@ def own_scenario(
     if truth is not None:
         require_kind("truth", truth, TruePlant, "a Truth")
     dealt = sensors_of_nodes(plant, sensors, truth)
-    log = None if readings is None else _log(plant, dealt, readings, truth, nodes)
-    own = _OwnNetwork(plant, dealt, plant if truth is None else truth.plant_of(plant), log)
-    asked = {"nodes": nodes, "graph": graph, "steps": log and log.steps if steps is None else steps}
+    if readings is not None:
+        _require_readings(len(dealt), truth, nodes)
+    own = _OwnNetwork(plant, dealt, plant if truth is None else truth.plant_of(plant), readings)
+    all_steps = None if own.log is None else own.log.steps
+    asked = {"nodes": nodes, "graph": graph, "steps": all_steps if steps is None else steps}
     asked["identified"] = str(identified) or None
     given = {name: value for name, value in asked.items() if value is not None}
     network = SensorNetwork(nodes=len(dealt), graph="ring")
     definition = ScenarioDefinition(
         defaults=Scenario(plant=UserPlant(), network=network, steps=200).with_(**given),
         check=own.check,
-        plant=lambda scenario: log or own.truth(scenario.nodes),
+        plant=lambda scenario: own.log or own.truth(scenario.nodes),
         model=lambda _: plant,
         sensor=lambda scenario, node: own.truth(scenario.nodes).sensor(node),
         late_steps=own.late_steps,
         irregular=lambda scenario: own.truth(scenario.nodes).irregular,
-        all_steps=None if log is None else lambda _: log.steps,
+        all_steps=None if all_steps is None else lambda _: all_steps,
         score=own_score(plant.units, scored_states, first_scored_step),
         radio_range_m=radio_range_m,
         origin=lambda _: plant.prior_mean,
         declared=lambda scenario: own.declared(sensors, scenario.nodes),
     )
+    definition = definition._replace(with_data=partial(_with_data, own))
     return user_definition(kept_source(definition)).defaults
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _OwnNetwork:
     """A plant as the filters believe it, the sensors dealt to the nodes in turn, the plant that
-    really moves, and the log that stands for it; None for none."""
+    really moves, and the readings that stand for it; None for none."""
 
     plant: OwnPlant
     dealt: tuple[NodeSensors | None, ...]
     moving: OwnPlant
-    log: "OwnReplay | None"
+    readings: Any
+
+    @cached_property
+    def log(self) -> "OwnReplay | None":
+        """The plant that delivers the readings."""
+        if self.readings is None:
+            return None
+        # Only here: a simulated plant needs no reader of logs.
+        from concord.plants.own_readings import replayed
+
+        return replayed(self.plant, self.dealt, self.readings)
 
     @lru_cache  # noqa: B019  a scenario lives as long as its process
     def truth(self, nodes: int) -> OwnTruth:
@@ -145,31 +159,38 @@ class _OwnNetwork:
         )
 
 
-def _log(
-    plant: OwnPlant,
-    dealt: tuple[NodeSensors | None, ...],
-    readings: Any,
-    truth: TruePlant | None,
-    nodes: int | None,
-) -> "OwnReplay":
-    # Only here: a simulated plant needs no reader of logs.
-    from concord.plants.own_readings import replayed
+def _with_data(own: _OwnNetwork, definition: ScenarioDefinition, data: str) -> ScenarioDefinition:
+    """The definition with the readings of a log, which is read where a run needs it."""
+    read = while_files_stay(lambda path: replace(own, readings=path))
 
+    def log() -> "OwnReplay":
+        found = read(data).log
+        assert found is not None, "it has readings"
+        return found
+
+    return definition._replace(
+        check=lambda scenario: read(data).check(scenario),
+        plant=lambda _: log(),
+        all_steps=lambda _: log().steps,
+    )
+
+
+def _require_readings(dealt: int, truth: TruePlant | None, nodes: int | None) -> None:
     if truth is not None:
         raise ValueError("truth: readings have a truth of their own; leave one of the two out")
-    if nodes not in (None, len(dealt)):
+    if nodes not in (None, dealt):
         raise ValueError(
-            f"nodes {nodes}: the readings are of {len(dealt)} nodes, one for each of sensors; "
-            "leave nodes out"
+            f"nodes {nodes}: the readings are of {dealt} nodes, one for each of sensors; leave "
+            "nodes out"
         )
-    return replayed(plant, dealt, readings)
 
 
 def _check_log(scenario: Scenario, log: "OwnReplay") -> None:
     nodes = log.readings.shape[1]
     if scenario.nodes != nodes:
         raise ValueError(
-            f"--nodes {scenario.nodes}: the log has readings of {nodes} nodes; leave --nodes out"
+            f"--nodes {scenario.nodes}: the log has readings of {nodes} nodes, one for each entry "
+            f"of sensors; give --nodes {nodes}"
         )
     if scenario.steps > log.steps:
         raise ValueError(
@@ -207,12 +228,11 @@ def portable(scenario: Scenario) -> Scenario:
     """
     plant = scenario.plant
     if isinstance(plant, UserPlant):
-        plant = UserPlant.of(
-            named_source(
-                plant.where,
-                lambda value: isinstance(value, Scenario) and value.plant == scenario.plant,
-            )
+        where, simulated = plant.where, UserPlant.of(plant.where)
+        named = named_source(
+            where, lambda value: isinstance(value, Scenario) and value.plant in (plant, simulated)
         )
+        plant = msgspec.structs.replace(plant, source=named.name, digest=named.digest)
     return msgspec.structs.replace(
         scenario,
         plant=plant,
@@ -231,20 +251,30 @@ def _named(choice: Choice) -> Choice:
 
 
 @lru_cache
-def user_definition(source: ValueSource) -> ScenarioDefinition:
-    """The definition of a scenario of the user's own.
+def user_definition(source: ValueSource, data: str | None = None) -> ScenarioDefinition:
+    """The definition of a scenario of the user's own, with the readings of a log if one is named.
 
     Raises:
-        ValueError: there is no such value, or it is no scenario.
+        ValueError: there is no such value, it is no scenario, or it takes no readings.
     """
     definition = value = value_of(source)
+    usual = None
     if isinstance(value, Scenario) and isinstance(value.plant, UserPlant):
         # The file made it under a number of its session; here it goes by its name in the file.
         definition = user_definition(value.plant.where)._replace(defaults=value)
+        usual = value.plant.data
     if not isinstance(definition, ScenarioDefinition):
         raise ValueError(
             f"{source.name}: it is a {type(value).__name__}; it must be a scenario, as "
             "own_scenario(...) returns"
         )
-    defaults = msgspec.structs.replace(definition.defaults, plant=UserPlant.of(source))
-    return definition._replace(defaults=defaults)
+    plant = UserPlant(source=source.name, digest=source.digest, data=usual)
+    data = data or usual
+    if data is not None:
+        if definition.with_data is None:
+            raise ValueError(
+                f"--data {data}: {source.name} takes no readings of a log, as own_scenario(...) "
+                "does; leave --data out"
+            )
+        definition = definition.with_data(definition, data)
+    return definition._replace(defaults=msgspec.structs.replace(definition.defaults, plant=plant))

@@ -7,7 +7,7 @@ import msgspec
 from concord.scenarios.types.option import USER, Choice, Option
 from concord.scenarios.user.values import FromFile, ValueSource, is_source_name, source_of
 
-DATA = Option("Folder of recorded data.")
+DATA = Option("Folder or file of recorded data.")
 
 
 class SensedPlantChoice(Choice, frozen=True, kw_only=True):
@@ -55,6 +55,7 @@ class UserPlant(FromFile, SensedPlantChoice, frozen=True, kw_only=True, tag=USER
 
     source: str = ""
     digest: str = ""
+    data: Annotated[str | None, DATA] = None
 
     @classmethod
     def of(cls, source: ValueSource) -> "UserPlant":

@@ -55,7 +55,7 @@ def remember(asked: msgspec.Struct) -> None:
             file.write("".join(f"{mark}\n" for mark in sorted(new)))
 
 
-def require_known(received: msgspec.Struct, place: Path) -> None:
+def require_known(received: msgspec.Struct | dict[str, Any], place: Path) -> None:
     """Refuse what a file of results names on this machine, unless a run of this user named it.
 
     Args:
@@ -84,8 +84,9 @@ def require_known(received: msgspec.Struct, place: Path) -> None:
 def _named(value: Any) -> Iterator[tuple[str, str]]:
     """Yield each file or module that a plain value names, with its mark in the user's list."""
     match value:
-        case {"source": str(source), "digest": str(digest)} if source:
+        case {"source": str(source), "digest": str(digest), **others} if source:
             yield from _marked(f"{source}#{digest}" if digest else source)
+            yield from _named(others)
         case dict():
             # A folder of recorded data is the one path without a word before it.
             paths = value.get("data")

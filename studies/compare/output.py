@@ -20,7 +20,7 @@ def write_comparison(dataset: "xarray.Dataset", figures: ComparisonFigures, fold
     """Write report.html, results.nc, table.tex, table.md and compare.json."""
     parts = page(figures)
     make_folder(folder, "--out")
-    write_dataset(dataset, folder / RESULTS, {})
+    write_dataset(dataset, folder / RESULTS)
     texts = {
         "report.html": as_html("Comparison of fusion rules", parts),
         "table.tex": latex(figures),

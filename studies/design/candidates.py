@@ -46,10 +46,12 @@ AT_ONCE = 25
 
 
 class Candidate(NamedTuple):
-    """Figures (R,) by name of the first R runs of a candidate; R may be 0."""
+    """Figures (R,) by name of the first R runs of a candidate; R may be 0. They are the same in all
+    runs of an `exact` one."""
 
     cell: Cell
     figures: dict[str, np.ndarray]
+    exact: bool = False
 
     @property
     def runs(self) -> int:
@@ -117,7 +119,7 @@ def with_runs(
     pieces: list[Piece] = []
     places: list[np.ndarray] = []
     for place, one in enumerate(candidates):
-        missing = np.arange(one.runs, runs)
+        missing = np.arange(one.runs, runs if not (one.exact and one.runs) else one.runs)
         scenarios = placed(one.cell.scenario, placements)
         for turn, scenario in enumerate(scenarios):
             mine = missing[missing % len(scenarios) == turn]
@@ -147,7 +149,16 @@ def with_runs(
         grown[place] = grown[place]._replace(
             figures={name: np.concatenate([known[name], new[name]]) for name in new}
         )
-    return grown
+    return [_repeated(one, runs) if one.exact else one for one in grown]
+
+
+def _repeated(one: Candidate, runs: int) -> Candidate:
+    more = max(0, runs - one.runs)
+    return one._replace(
+        figures={
+            name: np.append(known, known[:1].repeat(more)) for name, known in one.figures.items()
+        }
+    )
 
 
 def placed(scenario: Scenario, placements: Sequence[Value]) -> list[Scenario]:

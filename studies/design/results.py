@@ -31,7 +31,8 @@ from concord.studies.sweep.specification import FIELDS, Value, shown
 class Tried(msgspec.Struct, frozen=True):
     """A candidate: its open fields, its error as the target measures it, and what it costs.
 
-    `error` and `anees` are [value, low, high] with 95 % intervals over `runs`; `front` says that no
+    `error` and `anees` are [value, low, high] with 95 % intervals over `runs`, which are alike if
+    it is `exact`; `front` says that no
     other is cheaper and better. `age_bound_steps` bounds the age of information of one on the
     front; None for no bound.
     """
@@ -43,6 +44,7 @@ class Tried(msgspec.Struct, frozen=True):
     costs: dict[Cost, float]
     front: bool
     age_bound_steps: int | None = None
+    exact: bool = False
 
 
 class PlacementError(msgspec.Struct, frozen=True):
@@ -56,7 +58,7 @@ class Attempt(msgspec.Struct, frozen=True):
     """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within;
     `by_placement` where several placements were asked for; `warnings` as before a run; `age` of
     information where it is known. The candidate `instead_of` costs the same within the spread, or
-    less; its age has no bound."""
+    less; its age has no bound. An `exact` one needs no fresh runs."""
 
     values: Values
     runs: int
@@ -68,6 +70,7 @@ class Attempt(msgspec.Struct, frozen=True):
     warnings: list[str] = []
     age: InformationAge | None = None
     instead_of: Values | None = None
+    exact: bool = False
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
@@ -175,6 +178,7 @@ def _tried(task: SearchTask, one: Candidate, front: bool) -> Tried:
         costs={cost: one.cost(cost)[0] for cost in COSTS},
         front=front,
         age_bound_steps=bound_steps_of(one, task.placements) if front else None,
+        exact=one.exact,
     )
 
 
@@ -192,6 +196,7 @@ def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
         warnings=list(warnings_of(prepare(scenario))),
         age=worst_age(placed(scenario, task.placements)) if one.meets else None,
         instead_of=None if one.instead_of is None else one.instead_of.cell.values,
+        exact=one.candidate.exact,
     )
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.results.figures.intervals import Interval
+from concord.scenarios.links import link_state
 from concord.scenarios.preparation import prepare
 from concord.studies.design.age_bound import bound_steps_of
 from concord.studies.design.candidates import (
@@ -139,7 +140,10 @@ def _look(
 ) -> None:
     new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused), task.workers)
     refused += bad
-    task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each{_by_runs(new) if task.exact else ''}")
+    words = f", {LOOK_RUNS} runs each"
+    if task.exact:
+        new, words = _exact_of(new, task.placements)
+    task.say(f"{len(new)} candidates{words}")
     for one in _with_runs(task, new, LOOK_RUNS):
         if (excess := task.limits.excess(one.figures)) is not None:
             refused.append(RefusedCandidate(one.cell.values, excess))
@@ -150,21 +154,30 @@ def _look(
             kept.append(one)
 
 
-def _by_runs(candidates: Sequence[Candidate]) -> str:
-    """Return how many candidates are exact, and why others are not."""
+def _exact_of(
+    candidates: Sequence[Candidate], placements: Sequence[Value]
+) -> tuple[list[Candidate], str]:
+    """Return the candidates, told which are exact in all runs; and in words why others are not."""
     # Only here: a design by runs needs nothing of it.
     from concord.studies.exact.network import why_not
 
-    found = [why_not(prepare(one.cell.scenario)) for one in candidates]
+    setups = [prepare(one.cell.scenario) for one in candidates]
+    found = [why_not(setup) for setup in setups]
     reasons = [reason for reason in found if reason is not None]
-    exact = f"; {len(found) - len(reasons)} of them exactly, from second moments"
-    return f"{exact}; {len(reasons)} by runs ({reasons[0]})" if reasons else exact
+    words = f", {len(found) - len(reasons)} of them exactly, from second moments"
+    if reasons:
+        words += f"; {len(reasons)} by {LOOK_RUNS} runs each ({reasons[0]})"
+    marked = [
+        one._replace(exact=reason is None and not placements and link_state(setup).perfect)
+        for one, reason, setup in zip(candidates, found, setups, strict=True)
+    ]
+    return marked, words
 
 
 def _with_runs(
     task: SearchTask, candidates: Sequence[Candidate], runs: int, first_run: int = 0
 ) -> list[Candidate]:
-    missing = sum(max(0, runs - one.runs) for one in candidates)
+    missing = sum(max(0, runs - one.runs) for one in candidates if not (one.exact and one.runs))
     with task.progress("runs", missing) as on_runs:
         return with_runs(
             candidates, runs, task.engine, on_runs, first_run, task.placements, task.exact
@@ -192,7 +205,8 @@ def _race(task: SearchTask, known: list[Candidate]) -> list[Candidate]:
         line = on_front(task.target, task.cost, known)[-MOST_ON_FRONT:]
         numbers = {one.cell.number for one in (*racing, *line)}
         places = [place for place, one in enumerate(known) if one.cell.number in numbers]
-        task.say(f"{len(places)} candidates, {runs} runs each")
+        if not all(known[place].exact for place in places):
+            task.say(f"{len(places)} candidates, {runs} runs each")
         grown = _with_runs(task, [known[p] for p in places], runs)
         for place, one in zip(places, grown, strict=True):
             known[place] = one
@@ -227,7 +241,8 @@ def _still_in(task: SearchTask, racing: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed]:
-    """Return the cheapest finalists on fresh runs, until one meets the target.
+    """Return the cheapest finalists on fresh runs, until one meets the target; an exact one as it
+    is.
 
     The upper bound is one-sided, and what may go wrong in all attempts together is 5 %: half of it
     for the first, a quarter for the second, and so on.
@@ -236,8 +251,10 @@ def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed
     chosen = islice(_bounded_first(task, finalists), ATTEMPTS)
     for attempt, (one, instead_of) in enumerate(chosen, start=1):
         risk = 0.05 / 2**attempt
-        task.say(f"confirms {one.cell.name} on {task.confirm_runs} fresh runs")
-        fresh = _with_runs(task, [one._replace(figures={})], task.confirm_runs, FRESH_RUN)[0]
+        fresh = one
+        if not one.exact:
+            task.say(f"confirms {one.cell.name} on {task.confirm_runs} fresh runs")
+            fresh = _with_runs(task, [one._replace(figures={})], task.confirm_runs, FRESH_RUN)[0]
         # A two-sided interval that leaves out `risk` above.
         error = fresh.error(task.target, 1 - 2 * risk)
         meets = error.high <= task.target.most and task.limits.excess(fresh.figures) is None

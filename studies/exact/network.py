@@ -232,7 +232,7 @@ def _refuse(scenario: Scenario) -> None:
             f"--number {number_of(scenario.rule)} --exact: shares are rounded; use --number float64"
         )
     if definition.all_steps is not None:
-        raise NotExact(f"{name} --exact: it replays recorded data")
+        raise NotExact(f"{name} --exact: it has the readings of a log; use runs")
     if (lacking := without_array_form(scenario)) is not None:
         raise NotExact(f"{lacking} with --exact: it goes message by message alone; use runs")
 

@@ -21,12 +21,21 @@ COARSE_STEPS = 10_000
 """A longer log is fitted to so many of its first steps before all of them."""
 MOST_PASSES = 40
 """Over the whole log."""
+_USUAL_PASSES = 6  # of a fit from its start
+_USUAL_LAST_PASSES = 4  # of a fit from where the first steps have put it
 _SPREAD = 3.0  # of the prior of noise, in logarithms
 _UNTOLD = 0.7  # standard deviation of the logarithm of noise from which nothing is told
 _ENOUGH = 1e-3  # squared length of a step in standard deviations at the end
 _REACH = (-8, -4, -2, -1, 1, 2, 4, 8)  # steps by which a delay is tried
 _FARTHEST = 64  # steps that a delay may move in all
 _LIKELY = 1.92  # half of the 95 % quantile of chi-square with one degree of freedom
+
+
+def usual_steps(steps: int) -> int:
+    """Steps of all passes that a fit to a log of so many steps usually takes."""
+    if steps > 2 * COARSE_STEPS:
+        return _USUAL_PASSES * COARSE_STEPS + _USUAL_LAST_PASSES * steps
+    return _USUAL_PASSES * steps
 
 
 class SoughtValue(NamedTuple):

@@ -24,7 +24,7 @@ from concord.scenarios.types.identified_values import (
     values_in,
     word_of,
 )
-from concord.studies.identify.fit import MOST_PASSES, FoundValue, SoughtValue, ValueFit
+from concord.studies.identify.fit import FoundValue, SoughtValue, ValueFit, usual_steps
 from concord.studies.identify.readings import HeardReadings, readings_of
 
 _FACTORS = (1e-4, 1e4)
@@ -92,7 +92,8 @@ def identify(
     Args:
         scenario: with readings of a log, or simulated ones; what it believes is the start.
         seek: names of values; all R and Q when left out.
-        on_step: told how many steps of passes are done, of how many at most.
+        on_step: told how many steps of passes are done, of how many. No fit knows how many passes
+            it needs, so the second number grows by a pass where the usual ones are over.
 
     Raises:
         ValueError: a name that the scenario does not have, or a scenario that cannot be identified.
@@ -102,11 +103,13 @@ def identify(
     names = names or [one for one in log.known.names if one.startswith((f"{R}.", f"{Q}."))]
     if len(set(names)) < len(names):
         raise ValueError(f"--seek {','.join(names)}: a name is there twice; give each once")
-    done, most = 0, log.steps * (MOST_PASSES + 2)
+    done, most = 0, usual_steps(log.steps)
 
     def on_steps(steps: int) -> None:
-        nonlocal done
-        done = min(done + steps, most)
+        nonlocal done, most
+        done += steps
+        if done >= most:
+            most += log.steps
         on_step(done, most)
 
     delays = [one for one in names if one.startswith(f"{DELAY}.")]
@@ -118,7 +121,8 @@ def identify(
     values = start | {one.name: one.value for one in found if one.told}
     told = scenario.with_(identified=word_of(values))
     after = judged(log, told) if ended else None
-    on_step(most, most)
+    if ended:
+        on_step(most, most)
     updates = int(np.isfinite(log.values).sum())
     return Identification(found, values, before, after, updates, ended)
 

@@ -38,6 +38,8 @@ def settling_interval(error: np.ndarray, change_step: int, confidence: float = 0
 def _settling(squares: np.ndarray, change_step: int) -> np.ndarray:
     """Of mean squared errors (B, steps): (B,)."""
     steps = squares.shape[-1]
+    if not steps:
+        return np.full(len(squares), np.nan)  # no error is known
     tail = max(1, round(LAST_PART * steps))
     settled = squares[:, -tail:].mean(axis=-1, keepdims=True)
     away = squares[:, change_step:-tail] > WITHIN**2 * settled

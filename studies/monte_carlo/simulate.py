@@ -8,6 +8,8 @@ without an array form run message by message, one run after the other, and give 
 """
 
 import ctypes
+import math
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +28,7 @@ from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
 from concord.scenarios.user.faults import user_faults
+from concord.studies.monte_carlo.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from concord.results.records.record_spread import RecordSpread
@@ -54,9 +57,11 @@ def keep_freed_memory() -> bool:
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
-LANES = 16_384
+LANES = 2_048
 # And no more than take some tens of seconds: what is interrupted keeps those that are complete.
 LANE_STEPS = 12_000_000
+# From so many nodes on two threads gain time, and runs are taken in an even number of parts.
+_LANES_OF_TWO = 1_000
 
 READINGS, AGES, COV, INNOVATIONS = "readings", "ages", "cov", "innovations"
 OPTIONAL = frozenset((READINGS, AGES, COV, INNOVATIONS))
@@ -86,8 +91,11 @@ def simulate(
     *,
     keep: Iterable[str] = (READINGS, AGES),
     on_progress: Callable[[int], None] = lambda done: None,
+    threads: int = 1,
 ) -> Runs:
     """Run a setup under its seed with the noise of each of these run numbers.
+
+    The numbers do not depend on `threads`, as the parts that runs are taken in do not.
 
     Args:
         setup: of any run; its own run number does not matter.
@@ -95,6 +103,7 @@ def simulate(
         keep: which of `OPTIONAL` histories to keep beside means and traces: what the baselines need
             (readings), what held shares were worth (ages), full covariances (cov), innovations.
         on_progress: told how many steps of how many runs are done, added up.
+        threads: compute so many parts at once; runs that pass messages take one.
 
     Raises:
         ValueError: no runs, or a name in `keep` that is none.
@@ -108,16 +117,24 @@ def simulate(
     keep_freed_memory()
     if without_array_form(setup.scenario) is not None:
         return _one_by_one(setup, runs, frozenset(keep), on_progress)
-    collected = _Collected(setup, runs, frozenset(keep))
-    first = 0
+    collected = _Collected(setup, runs, frozenset(keep), on_progress)
+    complete = 0
     try:
-        while first < len(runs):
-            place = slice(first, first + runs_together(setup.scenario))
-            collected.take(place, on_progress)
-            first = place.stop
+        for place in side_by_side(collected.take, _parts(setup.scenario, len(runs)), threads):
+            complete = place.stop
     except KeyboardInterrupt:
-        raise Interrupted(collected.whole().of(slice(first)) if first else None) from None
+        kept = collected.whole().of(slice(complete)) if complete else None
+        raise Interrupted(kept) from None
     return collected.whole()
+
+
+def _parts(scenario: Scenario, runs: int) -> list[slice]:
+    """Return the places of runs that are taken at once, of equal size as far as they can be."""
+    count = math.ceil(runs / runs_together(scenario))
+    if count % 2 and runs > 1 and runs * scenario.nodes >= _LANES_OF_TWO:
+        count += 1
+    size = math.ceil(runs / count)
+    return [slice(first, min(first + size, runs)) for first in range(0, runs, size)]
 
 
 def _one_by_one(
@@ -153,40 +170,69 @@ class Interrupted(KeyboardInterrupt):
 class _Collected:
     """The histories of some runs, as they come to be known."""
 
-    def __init__(self, setup: Setup, runs: Sequence[int], keep: frozenset[str]) -> None:
-        self._setup, self._runs, self._keep = setup, runs, keep
+    def __init__(
+        self,
+        setup: Setup,
+        runs: Sequence[int],
+        keep: frozenset[str],
+        on_progress: Callable[[int], None],
+    ) -> None:
+        self._setup, self._runs, self._keep, self._on_progress = setup, runs, keep, on_progress
+        # Threads take parts of the runs: arrays are made and counts are added by one at a time.
+        self._lock = threading.Lock()
         self._arrays: dict[str, np.ndarray] = {}
         self._counters: dict[str, np.ndarray] = {}
         self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
-        self._spreads: list[RecordSpread] = []
-        self._extras: list[RunExtra] = []
+        self._spreads: dict[int, Sequence[RecordSpread]] = {}
+        self._extras: dict[int, Sequence[RunExtra]] = {}
         self._done = 0
 
-    def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
-        """Run those of a place, and keep their results."""
+    def take(self, place: slice, go_on: Callable[[], None]) -> None:
+        """Run those of a place, and keep their results; call `go_on` after each step."""
         setup, runs = self._setup, self._runs[place]
         part = _driven(setup, runs)
         self._prior_mean[place] = part.prior_mean
         innovations = InnovationsByStep(setup, runs) if INNOVATIONS in self._keep else None
         for step, recorded in enumerate(part.steps):
-            at = (len(self._runs), place, step)
-            _write(setup, self._arrays, at, recorded, self._keep)
+            at = (place, step)
+            self._put(at, _values(setup, recorded, self._keep))
             if innovations is not None:
-                self._write_innovations(at, innovations, recorded)
-            self._done += len(runs)
-            on_progress(self._done)
-        for name, counts in part.counters.items():
-            shape = (len(self._runs), setup.scenario.nodes)
-            self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
-        self._spreads += part.spreads()
-        self._extras += part.extras()
+                self._put_innovations(at, innovations, recorded)
+            with self._lock:
+                self._done += len(runs)
+                self._on_progress(self._done)
+            go_on()
+        with self._lock:
+            for name, counts in part.counters.items():
+                shape = (len(self._runs), setup.scenario.nodes)
+                self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+            self._spreads[place.start] = part.spreads()
+            self._extras[place.start] = part.extras()
 
-    def _write_innovations(
-        self, at: tuple[int, slice, int], innovations: InnovationsByStep, recorded: _Recorded
+    def _put_innovations(
+        self, at: tuple[slice, int], innovations: InnovationsByStep, recorded: _Recorded
     ) -> None:
         found = innovations.add(recorded.belief, recorded.readings, recorded.control)
         if found is not None:
-            _put(self._setup, self._arrays, at, dict(zip(_INNOVATIONS, found, strict=True)))
+            self._put(at, dict(zip(_INNOVATIONS, found, strict=True)))
+
+    def _put(self, at: tuple[slice, int], values: Mapping[str, np.ndarray | None]) -> None:
+        """Put values of one step of some runs in their place, `at` (which runs, step), but what is
+        None."""
+        place, step = at
+        for name, value in values.items():
+            if value is not None:
+                self._array(name, value, step)[place, step] = value
+
+    def _array(self, name: str, like: np.ndarray, step: int) -> np.ndarray:
+        with self._lock:
+            if name not in self._arrays:
+                shape = (len(self._runs), self._setup.scenario.steps, *like.shape[1:])
+                self._arrays[name] = np.empty(shape, like.dtype)
+                if step:
+                    # Nothing drives the plant into the first step.
+                    self._arrays[name][:, :step] = np.nan
+            return self._arrays[name]
 
     def whole(self) -> Runs:
         """Of all runs; of those that were not taken, no number means anything."""
@@ -205,10 +251,14 @@ class _Collected:
             prior_mean=self._prior_mean,
             innovations=innovations,
             past=past,
-            spreads=tuple(self._spreads),
-            extras=tuple(self._extras),
+            spreads=_in_order(self._spreads),
+            extras=_in_order(self._extras),
             **fields,
         )
+
+
+def _in_order(parts: Mapping[int, Sequence[Any]]) -> tuple[Any, ...]:
+    return tuple(value for first in sorted(parts) for value in parts[first])
 
 
 class _Part(NamedTuple):
@@ -336,16 +386,12 @@ def _by_messages(
         )
 
 
-def _write(
-    setup: Setup,
-    arrays: dict[str, np.ndarray],
-    at: tuple[int, slice, int],
-    recorded: _Recorded,
-    keep: frozenset[str],
-) -> None:
-    """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
+def _values(
+    setup: Setup, recorded: _Recorded, keep: frozenset[str]
+) -> dict[str, np.ndarray | None]:
+    """Return the histories that one step of some runs adds to, by name; None for those without."""
     belief, truth = recorded.belief, recorded.truth
-    values: dict[str, np.ndarray | None] = {
+    return {
         "truth": truth,
         "control": recorded.control,
         "mean": belief.mean,
@@ -361,23 +407,3 @@ def _write(
         _PAST_MEAN: None if recorded.past is None else recorded.past.mean,
         _PAST_STD: None if recorded.past is None else recorded.past.std,
     }
-    _put(setup, arrays, at, values)
-
-
-def _put(
-    setup: Setup,
-    arrays: dict[str, np.ndarray],
-    at: tuple[int, slice, int],
-    values: Mapping[str, np.ndarray | None],
-) -> None:
-    """Put values of one step of some runs in their place, but what is None."""
-    runs, place, step = at
-    for name, value in values.items():
-        if value is not None:
-            shape = (runs, setup.scenario.steps, *value.shape[1:])
-            if name not in arrays:
-                arrays[name] = np.empty(shape, value.dtype)
-                if step:
-                    # Nothing drives the plant into the first step.
-                    arrays[name][:, :step] = np.nan
-            arrays[name][place, step] = value

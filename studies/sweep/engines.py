@@ -1,9 +1,9 @@
 """The engine that computes the pieces of a sweep, as the options ask for it."""
 
-import os
 from functools import partial
 from pathlib import Path
 
+from concord.studies.monte_carlo.side_by_side import processors
 from concord.studies.sweep.dask_workers import connect
 from concord.studies.sweep.workers import Engine, in_processes
 
@@ -17,9 +17,7 @@ def workers_here(workers: int | None, dask: str | None = None) -> int:
     """
     if workers is not None and workers < 1:
         raise ValueError(f"--workers {workers}: must be at least 1")
-    # A container may have limited the cores.
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return 1 if dask is not None else workers or available or 1
+    return 1 if dask is not None else workers or processors()
 
 
 def engine_for(

@@ -143,8 +143,7 @@ def score_unit(definitions: Sequence[ScenarioDefinition]) -> str:
 
 def write_result(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a result as netCDF, whole or not at all."""
-    packed = {str(name): {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim}
-    write_dataset(dataset, path, packed)
+    write_dataset(dataset, path, compressed=True)
 
 
 def read_result(path: Path) -> "xarray.Dataset":

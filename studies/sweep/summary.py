@@ -75,7 +75,8 @@ def _figures(
     cell: dict[str, Any], part: CellData, best: CellData, change_step: int, first: int
 ) -> CellFigures:
     steps = ~np.isnan(part.rms("error"))
-    bound = np.square(part.values("bound")[steps])[min(first, steps.sum() - 1) :].mean()
+    squares = np.square(part.values("bound")[steps])[min(first, steps.sum() - 1) :]
+    bound = squares.mean() if len(squares) else np.nan  # a log without a truth has no error
     figures = {
         **{name: part.interval(name) for name in _OF_RUNS},
         **{name: part.ratio(*pair) for name, pair in PAIRS.items()},
@@ -113,10 +114,12 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
+    blind = any(np.isnan(cell["rmse"].value) for cell in figures.cells)
     unsound = any(cell.level != "WORKS" for cell in figures.cells)
     columns = {
         **({"": lambda cell: cell.level} if unsound else {}),
         f"RMSE [{figures.unit}]": lambda cell: _number(cell["rmse"].value),
+        **({"from central": lambda cell: _number(cell["from_centralised"].value)} if blind else {}),
         "x central": lambda cell: _with_half(cell["to_centralised"]),
         "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell["to_best"]),
         "ANEES": lambda cell: _with_half(cell["anees"]),
@@ -133,6 +136,8 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
     said = []
     for heading, say in columns.items():
         texts = [say(cell) for cell in figures.cells]
+        if blind and set(texts) == {"-"}:
+            continue
         taken += max(len(heading), *map(len, texts)) + 2
         if said and taken > width:
             break

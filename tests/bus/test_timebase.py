@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase
@@ -100,6 +100,7 @@ def test_other_settings_go_on_in_the_time_of_the_bus():
     assert [after.bus_cycle(cycle) for cycle in (15, 16, 17, 18)] == [51, 52, 61, 62]
 
 
+@settings(max_examples=40)
 @given(CYCLE_US, STEP_CYCLES, ROUNDS, PERIODS, st.data())
 def test_ages_over_all_cycles_are_those_of_the_two_cycles(
     cycle_us: int, step: tuple[int, int], rounds: int, period: int, data: st.DataObject

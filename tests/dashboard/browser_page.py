@@ -35,9 +35,13 @@ _KEEP_NOTICES = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(n=>told.add(n.textContent)))"
     ".observe(document,{childList:true,subtree:true,characterData:true})}"
 )
+# The middle of an element that stood still for half a second, or after two seconds where it moves.
 _MIDDLE = (
     "selector=>{const box=document.querySelector(selector)?.getBoundingClientRect();"
-    "return box&&[box.x+box.width/2,box.y+box.height/2]}"
+    "if(!box?.width)return null;const at=[box.x+box.width/2,box.y+box.height/2];"
+    "let was=window.stood;if(was?.selector!==selector)was={selector,polls:0,still:0,at:[-1,-1]};"
+    "was.still=Math.hypot(at[0]-was.at[0],at[1]-was.at[1])<0.5?was.still+1:0;was.at=at;was.polls++;"
+    "const done=was.still>9||was.polls>40;window.stood=done?null:was;return done?at:null}"
 )
 # One in three pages says so when the pointer passes a batched mesh, and each at a drag; nothing is
 # wrong on screen.
@@ -71,7 +75,7 @@ def point_at(page: Any, selector: str) -> None:
 
 
 def _middle(page: Any, selector: str) -> list[float]:
-    """Where the middle of an element is, as soon as there is one."""
+    """Where the middle of an element is, as soon as it stands still: a tab may be opening."""
     return page.wait_for_function(_MIDDLE, arg=selector, polling=50).json_value()
 
 

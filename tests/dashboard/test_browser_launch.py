@@ -102,6 +102,22 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
     assert command.gone_within(10)
 
 
+def test_a_network_whose_page_is_killed_before_its_first_step_goes_on(tmp_path: Path):
+    folder = tmp_path / "run"
+    asked = (*NETWORK, "--steps", "3000", "--out", str(folder), "--dashboard", "--http-port", "0")
+    with family((sys.executable, "launch_local.py", *asked), ROOT) as command:
+        command.await_line("dashboard at ")
+        reach = read_network(folder)
+        client = Client(reach.connect, reach.run)
+        assert client.state()["paused"]
+        os.kill(page_process(command), signal.SIGKILL)
+        command.await_line("the page ended before the first step; the network goes on without it")
+        assert holds_within(PATIENCE_S, lambda: client.state()["completed"] > 5)
+        client.close()
+        command.send(signal.SIGTERM)
+        assert command.gone_within(10)
+
+
 def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
     folder = tmp_path / "run"
     asked = (*NETWORK, "--steps", "24", "--out", str(folder), "--dashboard", "--http-port", "0")

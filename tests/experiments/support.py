@@ -7,7 +7,7 @@ from concord.results.figures.summary import Summary, heard_by_all, summarise
 from concord.results.folder import describe, write_description, write_whole
 from concord.results.records.netcdf_file import DESCRIPTION
 from concord.results.records.runs import runs_of_trace
-from concord.results.records.runs_file import runs_dataset
+from concord.results.records.runs_file import runs_arrays
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_this_process
 from concord.runtime.recording import read_recording, recorded_origin
@@ -36,14 +36,14 @@ def summary_of(setup: Setup, trace: Trace) -> Summary:
 def write_arrays(folder: Path, setup: Setup, trace: Trace, tempo: Tempo | None = None) -> None:
     """Write run.nc of one run of processes, in real time with a tempo."""
     runs = runs_of_trace(setup, trace)
-    dataset = runs_dataset(runs, heard=heard_by_all(runs))
+    arrays = runs_arrays(runs, heard=heard_by_all(runs))
     driver = "processes" if tempo is None else "realtime"
     recording = folder / "run.mcap"
     told = recorded_origin(recording) if recording.exists() else {}
     description = describe(told.get("run", "test"), driver, setup, tempo)
     if not (folder / DESCRIPTION).exists():
         write_description(folder, description)
-    write_whole(folder, dataset, description)
+    write_whole(folder, arrays, description)
 
 
 def trace_of(setup: Setup, recording: Path) -> Trace:

@@ -90,7 +90,7 @@ def test_a_graph_that_is_none_is_refused(graph: Any, says: str):
         (lambda: cc.scenario("target-tracking", placement={"a": 1}), "is no site"),
         (lambda: cc.on_a_measurement_bus(plant(), 3), "sensors 3 of type int"),
         (lambda: plant(f=3), "f of type int: must be a function"),
-        (lambda: plant(Q="ab"), "Q of type str: it holds no real numbers"),
+        (lambda: plant(Q="ab"), "Q 'ab' of type str: it holds no real numbers"),
         (lambda: plant(Q=[1j, 1]), "Q of type list: it holds no real numbers"),
         (lambda: plant(mean=[], Q=[], cov=[]), "mean"),
         (lambda: plant(time_step_s="a"), "time_step_s a: must be above 0"),
@@ -98,7 +98,7 @@ def test_a_graph_that_is_none_is_refused(graph: Any, says: str):
         (lambda: plant(state_names="ab"), "state_names ab: must be a tuple"),
         (lambda: plant(positions=[[0, np.nan]]), "two finite numbers"),
         (lambda: plant(angles=0), "angles 0: must be some of the states"),
-        (lambda: sensor(R="a"), "R of type str"),
+        (lambda: sensor(R="a"), "R 'a' of type str"),
         (lambda: sensor(R=-1e-16), "R: has a negative eigenvalue"),
     ],
 )

@@ -2,7 +2,9 @@
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
@@ -38,10 +40,22 @@ SETUP = small(steps=12, nodes=4, graph="ring", schedule="hybrid", occupancy=0.5,
 MESSAGES: Messages = list(in_memory(SETUP))
 
 
+@cache
+def sound_arrays() -> bytes:
+    """The arrays of MESSAGES, written once."""
+    with TemporaryDirectory() as folder:
+        write_description(Path(folder), describe("test", "in-process", SETUP))
+        write_arrays(Path(folder), SETUP, read_trace(SETUP, MESSAGES))
+        return (Path(folder) / ARRAYS).read_bytes()
+
+
 def write(folder: Path, recorded: Messages, shown: Messages = MESSAGES, of: Setup = SETUP) -> Path:
     """A folder with this recording, and the arrays of another; `of` made both."""
     write_description(folder, describe("test", "in-process", SETUP))
-    write_arrays(folder, SETUP, read_trace(SETUP, shown))
+    if shown is MESSAGES:
+        (folder / ARRAYS).write_bytes(sound_arrays())
+    else:
+        write_arrays(folder, SETUP, read_trace(SETUP, shown))
     frames, origin = frame_format(SETUP.scenario), origin_of(of, "test")
     recorder = McapRecorder(
         folder / RECORDING, SETUP.scenario.rounds, SETUP.time_step_s, frames, origin

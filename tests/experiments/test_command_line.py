@@ -258,6 +258,14 @@ def test_the_summaries_of_all_commands_are_told_without_loading_one():
     assert not loaded_by("--help") & (SLOW_TO_LOAD | {"msgspec", "zenoh"})
 
 
+def test_a_run_loads_no_library_of_data_sets(tmp_path: Path):
+    """These take longer to load than a small run takes."""
+    asked = ("--scenario", "oscillator", "--nodes", "3", "--steps", "4")
+    loaded = loaded_by("run", *asked, "--out", str(tmp_path / "run"))
+    assert (tmp_path / "run" / "run.nc").exists()
+    assert not loaded & {"xarray", "pandas", "dask", "matplotlib"}
+
+
 def test_the_measure_of_loading_sees_what_is_loaded():
     assert {"scipy", "networkx"} <= loaded_by("topology", "--help")
 

@@ -34,7 +34,7 @@ def test_short_runs_are_named_with_the_steps_that_suffice(steps: int, says: list
     found = list(few_steps(scenario_of("oscillator", steps=steps)))
     assert len(found) == len(says)
     for sentence, start in zip(found, says, strict=True):
-        assert sentence.startswith(start) and sentence.endswith("use --steps 40 or more")
+        assert sentence.startswith(start) and sentence.endswith("use --steps 40")
 
 
 def test_few_runs_are_named():

@@ -55,7 +55,7 @@ def test_what_is_told_is_found_by_time_and_unknown_steps_are_the_last():
 def test_the_process_tells_what_it_found(monkeypatch: pytest.MonkeyPatch):
     # On a fully loaded machine a process of low priority may wait for minutes.
     monkeypatch.setattr(other_runs, "give_way", lambda *_: None)
-    others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=True)
+    others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=False)
     times = np.array([0.0, 0.5])
     assert np.isnan(others(times).nees_low).all()
     assert holds_within(30.0, lambda: bool(np.isfinite(others(times).nees_low).all()))

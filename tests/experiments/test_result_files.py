@@ -52,6 +52,7 @@ def test_a_csv_has_a_row_of_values_for_each_cell(swept: Path):
         assert np.isnan(cell["settling_steps"].low) == (row["settling_steps_low"] == "")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_sweep_has_a_latex_table_with_its_intervals(
     swept: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -93,6 +94,7 @@ def test_the_front_has_the_interval_of_each_cell(swept: Path):
     assert np.allclose(drawn, [(one.low, one.high) for one in intervals])
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_names_stand_in_tables_and_sentences_as_they_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
+import concord as cc
 from concord.filters.metrics import nees
 from concord.results.folder import (
     describe,
@@ -15,20 +16,21 @@ from concord.results.folder import (
     read_description,
     write_description,
 )
-from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION
+from concord.results.records.netcdf_file import ARRAYS, DESCRIPTION, write_dataset
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.scenario import Scenario
-from tests.experiments.support import small, write_arrays
+from tests.experiments.support import scenario, small, write_arrays
 
 SETUP = small(steps=6, nodes=3, graph="path", schedule="round-robin", occupancy=0.4)
 TRACE = read_trace(SETUP, in_memory(SETUP))
 
 
-@pytest.fixture
-def dataset(tmp_path: Path):
-    write_arrays(tmp_path, SETUP, TRACE)
-    with xarray.open_dataset(tmp_path / ARRAYS, engine="h5netcdf") as opened:
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("arrays")
+    write_arrays(folder, SETUP, TRACE)
+    with xarray.open_dataset(folder / ARRAYS, engine="h5netcdf") as opened:
         yield opened.load()
 
 
@@ -55,6 +57,8 @@ def test_dimensions_and_units_have_names(dataset):
     assert dataset["payload_bytes"].dims == ("run", "step", "round", "node")
     assert dataset["state"].to_numpy().tolist() == ["x", "vx"]
     assert dataset["state_unit"].to_numpy().tolist() == ["m", "m/s"]
+    assert list(np.atleast_1d(dataset["mean"].attrs["scored"])) == ["x"]
+    assert dataset["mean"].attrs["scored_unit"] == "m"
     np.testing.assert_allclose(dataset["time"], np.arange(6) * SETUP.time_step_s)
     assert dataset["time"].attrs["units"] == "s"
     assert dataset.attrs["seed"] == SETUP.scenario.seed
@@ -133,3 +137,23 @@ def test_a_run_that_is_interrupted_while_it_writes_leaves_no_broken_arrays(
     with pytest.raises(KeyboardInterrupt):
         write_arrays(tmp_path, SETUP, TRACE)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("rule", ["ci", "labelled"])
+def test_a_file_is_that_of_xarray(rule: str, compressed: bool, tmp_path: Path):
+    """The writer is our own; xarray writes and reads the same data set with its own."""
+    found = cc.simulate(scenario("target-tracking", nodes=4, steps=5, rule=rule), runs=2)
+    found["flag"] = ("run", np.array([True, False]))
+    found["note"] = ("run", ["a", "bc"])
+    found["none"] = (("run", "empty"), np.empty((2, 0)))
+    found = found.assign(number=7, word="one").assign_coords(apart=("elsewhere", [1.0, np.nan]))
+    found.to_netcdf(tmp_path / "theirs.nc", engine="h5netcdf")
+    write_dataset(found, tmp_path / "ours.nc", compressed)
+    theirs, ours = (
+        xarray.load_dataset(tmp_path / f"{name}.nc", engine="h5netcdf")
+        for name in ("theirs", "ours")
+    )
+    xarray.testing.assert_identical(theirs, ours)
+    for name in theirs.variables:
+        assert theirs[name].dtype == ours[name].dtype, name

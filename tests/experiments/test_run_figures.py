@@ -139,11 +139,11 @@ def test_the_front_is_what_nothing_beats():
 def test_figures_of_a_run_do_not_depend_on_the_runs_beside_it(fields: dict):
     """Runs share what is computed once where their traffic is the same."""
     setup = prepare(scenario_of("target-tracking", nodes=6, steps=25, **fields))
-    histories = simulate(setup, range(5))
+    histories = simulate(setup, range(3))
     together = computed(RunView(histories, frame_of(histories)))
     contended = not (histories.classes == histories.classes[:1]).all()
     assert contended == (fields["schedule"] == "hybrid")
-    for run in range(5):
+    for run in range(3):
         own = simulate(setup, [run])
         alone = computed(RunView(own, frame_of(own)))
         for name, values in alone.items():

@@ -40,6 +40,9 @@ def test_figures_of_many_runs_follow_from_those_of_each(name: str):
         if figure in RATIOS:
             ratio = RATIOS[figure]
             one, other = (np.array([o.value(n) for o in each]) for n in (ratio.one, ratio.other))
+            if other.max() < 1e-9 * one.max():
+                # The readings tell the state exactly: the denominator is rounding.
+                continue
             expected = ratio_t(one**2, other**2)
         elif FIGURES[figure].statistic == "rms":
             expected = ratio_t(values**2, np.ones_like(values))

@@ -1,6 +1,7 @@
 """Causes planted one by one: the level, the first cause, and a cure after which it is gone."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,6 +191,7 @@ PLANTED = {
 }
 
 
+@cache
 def judged(asked: Scenario) -> Summary:
     setup = prepare(asked)
     with np.errstate(all="ignore"):
@@ -287,9 +289,10 @@ def sound(name: str, rule: str) -> Scenario:
     return cc.scenario(name, rule=rule, steps=120, **dense)
 
 
+@pytest.mark.parametrize("count", [3, pytest.param(10, marks=pytest.mark.study)])
 @pytest.mark.parametrize(("name", "rule"), SOUND)
-def test_ten_sound_runs_are_neither_failed_nor_doubted(name: str, rule: str):
-    """Two hundred runs in all; none is accused."""
-    runs = simulate(prepare(sound(name, rule)), range(10), keep=(READINGS, AGES, INNOVATIONS))
-    verdicts = [summarise(runs.of(slice(run, run + 1))).verdict for run in range(10)]
+def test_sound_runs_are_neither_failed_nor_doubted(name: str, rule: str, count: int):
+    """Two hundred runs in `make studies`; none is accused."""
+    runs = simulate(prepare(sound(name, rule)), range(count), keep=(READINGS, AGES, INNOVATIONS))
+    verdicts = [summarise(runs.of(slice(run, run + 1))).verdict for run in range(count)]
     assert [one.said for one in verdicts if one.level != "WORKS"] == []

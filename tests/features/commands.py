@@ -42,16 +42,21 @@ page.close()
 """
 
 
+# Compiled code stands beside its source, through all links: else each tree would be compiled anew.
+_ELSEWHERE = ("PYTHONPYCACHEPREFIX", "PYTHONDONTWRITEBYTECODE")
+
+
 def python(path: Path, folder: Path, program: str) -> str:
     """Run a program in `folder`, with the packages of `path` before all others; return its output.
 
     Raises:
         AssertionError: with its error output, if the program fails.
     """
+    kept = {name: value for name, value in os.environ.items() if name not in _ELSEWHERE}
     done = subprocess.run(
         [sys.executable, "-P", "-c", program],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(path)},
+        env={**kept, "PYTHONPATH": str(path)},
         capture_output=True,
         text=True,
     )

@@ -1,5 +1,6 @@
 """Filters that learn the noise of a sensor: every one of the table against theory."""
 
+from functools import cache
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -73,7 +74,7 @@ def anees(runs: Runs) -> float:
 def test_the_right_noise_stays_and_the_filter_is_consistent(name: str):
     """The steps of a run are correlated, so the interval is that of runs alone, and of the fading
     average: a factor learnt from 50 readings has a deviation of a fifth."""
-    found = simulated(learning(name, least_noise=0.01), 400, 300, np.ones(300))
+    found = simulated(learning(name, least_noise=0.01), 400, 200, np.ones(200))
     low, high = chi2.ppf([0.0005, 0.9995], 2 * 400) / (2 * 400)
     assert low - 0.05 < anees(found) < high + 0.05
     assert abs(np.log(found.factors[-50:]).mean()) < 0.1
@@ -82,18 +83,25 @@ def test_the_right_noise_stays_and_the_filter_is_consistent(name: str):
 @pytest.mark.parametrize("name", LEARNING)
 @pytest.mark.parametrize("true", [1 / 16, 16.0])
 def test_a_wrong_noise_is_replaced_by_the_right_one(name: str, true: float):
-    found = simulated(learning(name, least_noise=1e-4), 200, 600, np.full(600, true))
+    found = simulated(learning(name, least_noise=1e-4), 200, 350, np.full(350, true))
     np.testing.assert_allclose(found.factors[-50:].mean(axis=(0, 1)), true, rtol=0.15)
     assert 0.8 < anees(found) < 1.25
 
 
+GROWS = np.where(np.arange(400) < 150, 1.0, 9.0)
+
+
+@cache
+def anees_without_learning() -> float:
+    """Return the consistency of a filter that believes in the first noise throughout."""
+    return anees(simulated(Deaf(build_filter(CHOICES["ukf"](), 2)), 200, 400, GROWS))
+
+
 @pytest.mark.parametrize("name", LEARNING)
 def test_a_noise_that_grows_is_followed(name: str):
-    grows = np.where(np.arange(600) < 300, 1.0, 9.0)
-    found = simulated(learning(name), 200, 600, grows)
+    found = simulated(learning(name), 200, 400, GROWS)
     np.testing.assert_allclose(found.factors[-50:].mean(axis=(0, 1)), 9.0, rtol=0.15)
-    plain = anees(simulated(Deaf(build_filter(CHOICES["ukf"](), 2)), 200, 600, grows))
-    assert 0.8 < anees(found) < 1.25 < plain / 2
+    assert 0.8 < anees(found) < 1.25 < anees_without_learning() / 2
 
 
 class Deaf(NamedTuple):

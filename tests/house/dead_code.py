@@ -64,33 +64,33 @@ def functions_are_called(sources: Sequence[Source]) -> Iterator[str]:
     outside its own body, or stands in a page.
     """
     text = set(re.findall(r"\w+", pages()))
-    uses: dict[str, set[int]] = defaultdict(set)
+    uses: dict[str, list[tuple[Source, int]]] = defaultdict(list)
     definitions: list[tuple[Source, ast.FunctionDef | ast.AsyncFunctionDef]] = []
     for file in sources:
-        for name, node in _uses(file.tree):
-            uses[name].add(id(node))
+        for name, line in _uses(file):
+            uses[name].append((file, line))
         if file.is_entries:
-            for _, target in file.strings:
-                uses[target.rpartition(":")[2]].add(id(file))
+            for line, target in file.strings:
+                uses[target.rpartition(":")[2]].append((file, line))
         definitions += [(file, node) for node in _public(file.tree)]
     for file, node in definitions:
-        inside = {id(child) for child in ast.walk(node)}
-        if node.name not in text and not uses[node.name] - inside:
+        first = min(part.lineno for part in (node, *node.decorator_list))
+        own = range(first, (node.end_lineno or first) + 1)
+        is_used = any(user is not file or line not in own for user, line in uses[node.name])
+        if node.name not in text and not is_used:
             yield (
                 f"{file.path}:{node.lineno}: only tests call {node.name}; delete it, move it to "
                 "the tests, or make it reachable"
             )
 
 
-def _uses(tree: ast.AST) -> Iterator[tuple[str, ast.AST]]:
-    for node in ast.walk(tree):
-        match node:
-            case ast.Name(id=name) | ast.Attribute(attr=name):
-                yield name, node
-            case ast.keyword(arg=str(name)):
-                yield name, node
-            case ast.Constant(value=str(name)) if name.isidentifier():
-                yield name, node
+def _uses(file: Source) -> Iterator[tuple[str, int]]:
+    yield from ((node.id, node.lineno) for node in file.nodes(ast.Name))
+    yield from ((node.attr, node.lineno) for node in file.nodes(ast.Attribute))
+    yield from ((node.arg, node.lineno) for node in file.nodes(ast.keyword) if node.arg)
+    for node in file.nodes(ast.Constant):
+        if isinstance(node.value, str) and node.value.isidentifier():
+            yield node.value, node.lineno
 
 
 def _public(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:

@@ -4,7 +4,7 @@ import ast
 import re
 from collections.abc import Iterator, Sequence
 
-from tests.house.sources import OUTSIDE_THE_CORE, Source, imported_names
+from tests.house.sources import OUTSIDE_THE_CORE, Source
 
 # A feature or a paper, as an import, a path or a target of an entry names it.
 _OF_NO_CORE = re.compile(r"concord\.features\.\w|concord\.papers\b|\bfeatures/\w")
@@ -16,7 +16,7 @@ def the_core_names_no_feature(sources: Sequence[Source]) -> Iterator[str]:
         if file.room in OUTSIDE_THE_CORE:
             continue
         named = [(line, text) for line, text in file.strings if _OF_NO_CORE.search(text)]
-        for module, name, line in imported_names(file):
+        for module, name, line in file.imports:
             if _OF_NO_CORE.match(f"{module}.{name}"):
                 named.append((line, f"{module}.{name}".removesuffix(".")))
         for line, text in sorted({line: text for line, text in reversed(named)}.items()):
@@ -58,7 +58,7 @@ def _needs(file: Source) -> set[str]:
 
 
 def _other_features(file: Source) -> Iterator[tuple[int, str]]:
-    names = {f"{module}.{name}": line for module, name, line in imported_names(file)}
+    names = {f"{module}.{name}": line for module, name, line in file.imports}
     names |= {text: line for line, text in file.strings}
     found = {
         (line, other[1])
@@ -72,5 +72,5 @@ def entries_import_nothing(sources: Sequence[Source]) -> Iterator[str]:
     """Refuse an import in a table of entries: it would be loaded with each command."""
     for file in sources:
         if file.is_entries:
-            for module, _, line in imported_names(file):
+            for module, _, line in file.imports:
                 yield f"{file.path}:{line}: imports {module}; a table of entries has names only"

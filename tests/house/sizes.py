@@ -98,14 +98,10 @@ def table() -> Iterator[str]:
 
 def called_once(file: Source) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     """Yield the short private functions and methods that their file names exactly once."""
-    uses = Counter(
-        node.id if isinstance(node, ast.Name) else node.attr
-        for node in ast.walk(file.tree)
-        if isinstance(node, ast.Name | ast.Attribute)
-    )
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            lines = (node.end_lineno or node.lineno) - node.lineno + 1
-            is_private = node.name.startswith("_") and not node.name.startswith("__")
-            if is_private and uses[node.name] == 1 and lines <= _MOST_PRIVATE_LINES:
-                yield node
+    uses = Counter(node.id for node in file.nodes(ast.Name))
+    uses.update(node.attr for node in file.nodes(ast.Attribute))
+    for node in file.nodes(ast.FunctionDef, ast.AsyncFunctionDef):
+        lines = (node.end_lineno or node.lineno) - node.lineno + 1
+        is_private = node.name.startswith("_") and not node.name.startswith("__")
+        if is_private and uses[node.name] == 1 and lines <= _MOST_PRIVATE_LINES:
+            yield node

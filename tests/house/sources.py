@@ -1,11 +1,14 @@
 """The Python files as the house rules see them: module name, path, text, syntax tree, imports."""
 
 import ast
+import gc
 import re
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterator
 from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 ROOT = Path(__file__).resolve().parents[2]
 # Folders that are packages below `concord`, by links.
@@ -13,6 +16,8 @@ PACKAGES = {link.name for link in ROOT.glob("concord/*") if link.is_symlink()}
 # The core is every folder but these.
 OUTSIDE_THE_CORE = {"features", "papers", "benchmarks", "docs", "examples", "tests"}
 _MODULE = re.compile(r"(concord\.\w+\.\w[\w.]*)(?::\w+)?")
+
+_Node = TypeVar("_Node", bound=ast.AST)
 
 
 class Source:
@@ -49,10 +54,36 @@ class Source:
         name = ".".join(self.path.with_suffix("").parts).removesuffix(".__init__")
         return f"concord.{name}" if self.room in PACKAGES else name
 
+    def nodes(self, *types: type[_Node]) -> Iterator[_Node]:
+        """Yield each node of the tree that has one of the types, type by type."""
+        for kind in types:
+            yield from self._nodes.get(kind, ())  # pyright: ignore[reportReturnType]
+
+    @cached_property
+    def _nodes(self) -> dict[type[ast.AST], list[ast.AST]]:
+        by_type: dict[type[ast.AST], list[ast.AST]] = defaultdict(list)
+        # A tree has no cycles, and the collector would go through all trees again and again.
+        gc.disable()
+        try:
+            for node in ast.walk(self.tree):
+                by_type[type(node)].append(node)
+        finally:
+            gc.enable()
+        return by_type
+
     @cached_property
     def strings(self) -> list[tuple[int, str]]:
         """Line and text of each string; an f-string with the file's own constants put in."""
-        return list(_strings(self.tree))
+        return list(_strings(self))
+
+    @cached_property
+    def imports(self) -> list[tuple[str, str, int]]:
+        """Module, name ("" for a whole module) and line of each import, also a hidden one.
+
+        Imports under TYPE_CHECKING and inside functions count as those at the top of a file do. A
+        string that names a module of ours counts too, except in a table of entries.
+        """
+        return list(_imports(self))
 
 
 @cache
@@ -84,20 +115,19 @@ def product() -> list[Source]:
     return [file for file in packages() if file.room != "tests"]
 
 
-def _strings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+def _strings(file: Source) -> Iterator[tuple[int, str]]:
     constants: dict[str, str] = {}
-    for node in tree.body:
+    for node in file.tree.body:
         match node:
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=str(text))):
                 constants[name] = text
     inside = set[ast.AST]()
-    for node in ast.walk(tree):
-        match node:
-            case ast.JoinedStr(values=values):
-                inside.update(values)
-                yield node.lineno, "".join(_text(value, constants) for value in values)
-            case ast.Constant(value=str(text)) if node not in inside:
-                yield node.lineno, text
+    for node in file.nodes(ast.JoinedStr):
+        inside.update(node.values)
+        yield node.lineno, "".join(_text(value, constants) for value in node.values)
+    for node in file.nodes(ast.Constant):
+        if isinstance(node.value, str) and node not in inside:
+            yield node.lineno, node.value
 
 
 def _text(value: ast.expr, constants: dict[str, str]) -> str:
@@ -109,29 +139,30 @@ def _text(value: ast.expr, constants: dict[str, str]) -> str:
     return "{}"
 
 
-def imported_names(file: Source) -> Iterator[tuple[str, str, int]]:
-    """Yield module, name ("" for a whole module) and line of each import, also a hidden one.
-
-    Imports under TYPE_CHECKING and inside functions count as those at the top of a file do. A
-    string that names a module of ours counts too, except in a table of entries.
-    """
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name, "", node.lineno) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            origin = "." * node.level + (node.module or "")
-            yield from ((origin, alias.name, node.lineno) for alias in node.names)
-        elif isinstance(node, ast.Call) and _is_import(node.func) and node.args:
-            match node.args[0]:
-                # A module of ours is found as a string, below.
-                case ast.Constant(value=str(name)) if not _MODULE.fullmatch(name):
-                    yield name, "", node.lineno
+def _imports(file: Source) -> Iterator[tuple[str, str, int]]:
+    for node in file.nodes(ast.Import):
+        yield from ((alias.name, "", node.lineno) for alias in node.names)
+    for node in file.nodes(ast.ImportFrom):
+        origin = "." * node.level + (node.module or "")
+        yield from ((origin, alias.name, node.lineno) for alias in node.names)
+    for node in file.nodes(ast.Call):
+        match node:
+            # A module of ours is found as a string, below.
+            case ast.Call(func=function, args=[ast.Constant(value=str(name)), *_]) if _is_import(
+                function
+            ) and not _MODULE.fullmatch(name):
+                yield name, "", node.lineno
     if not file.is_entries:
         yield from ((module, "", line) for module, line in named_modules(file))
 
 
 def _is_import(function: ast.expr) -> bool:
-    return ast.unparse(function) in ("__import__", "import_module", "importlib.import_module")
+    match function:
+        case ast.Name(id="__import__" | "import_module"):
+            return True
+        case ast.Attribute(value=ast.Name(id="importlib"), attr="import_module"):
+            return True
+    return False
 
 
 def named_modules(file: Source) -> Iterator[tuple[str, int]]:
@@ -141,10 +172,10 @@ def named_modules(file: Source) -> Iterator[tuple[str, int]]:
             yield found[1], line
 
 
-def imported_modules(file: Source, modules: Sequence[str] | set[str]) -> dict[str, int]:
+def imported_modules(file: Source, modules: Collection[str]) -> dict[str, int]:
     """Return those of `modules` that a file imports, each with the line of its first import."""
     found: dict[str, int] = {}
-    for module, name, line in imported_names(file):
+    for module, name, line in file.imports:
         submodule = f"{module}.{name}"
         target = submodule if submodule in modules else module
         if target in modules and target != file.module:

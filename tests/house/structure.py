@@ -45,14 +45,13 @@ def folders_are_small(sources: Sequence[Source]) -> Iterator[str]:
 def classes_are_small(sources: Sequence[Source]) -> Iterator[str]:
     """Refuse large classes."""
     for file in sources:
-        for node in ast.walk(file.tree):
-            if isinstance(node, ast.ClassDef):
-                lines = (node.end_lineno or node.lineno) - node.lineno + 1
-                if lines > MOST_CLASS_LINES:
-                    yield (
-                        f"{file.path}:{node.lineno}: class {node.name} has {lines} lines, at most "
-                        f"{MOST_CLASS_LINES}; split it by idea"
-                    )
+        for node in file.nodes(ast.ClassDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            if lines > MOST_CLASS_LINES:
+                yield (
+                    f"{file.path}:{node.lineno}: class {node.name} has {lines} lines, at most "
+                    f"{MOST_CLASS_LINES}; split it by idea"
+                )
 
 
 def small_files_have_a_reason(sources: Sequence[Source]) -> Iterator[str]:

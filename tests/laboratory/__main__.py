@@ -18,6 +18,7 @@ PARTS = {
     "security": ("security", "security"),
     "bugs": ("bugs", "bugs"),
     "plants": ("own_plants", "plants"),
+    "exact": ("exact", "exact"),
 }
 
 

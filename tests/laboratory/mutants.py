@@ -1,8 +1,8 @@
-"""Mutation testing with mutmut on a random sample.
+"""Mutation testing on a random sample, with the mutants of mutmut.
 
-mutmut changes one expression of one function at a time, and runs the tests that reach the function.
-A mutant that no test notices has survived. The script takes a folder of the source and its fast
-tests in `tests/`, draws mutants by a seed, and prints a table of scores and each survivor.
+mutmut changes one expression of one function at a time. A mutant that no test notices has survived.
+The script takes a folder of the source and its fast tests in `tests/`, draws mutants by a seed, and
+prints a table of scores and each survivor. Only drawn mutants are written (`mutant_trials`).
 Statements that raise errors and lines of text are left alone: their mutants change messages.
 """
 
@@ -13,23 +13,34 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import unified_diff
 from importlib.util import find_spec
-from itertools import accumulate
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import tyro
 from scipy.stats import binomtest
 
 from tests.conftest import ROOT
 
-FOLDERS = ("filters", "topology", "bus", "nodes")
-# Statuses that mutmut gives to a mutant that some test noticed.
-CAUGHT = ("killed", "timeout", "segfault", "suspicious")
+if TYPE_CHECKING:
+    import libcst
+    from mutmut.mutation.file_mutation import Mutation
+
+Drawn = TypeVar("Drawn")
+FOLDERS = ("filters", "topology", "bus", "nodes", "runtime", "results", "studies")
+# Commands test these folders; `tests/experiments/` holds those tests.
+ALSO = {"results": ("experiments",), "studies": ("experiments",)}
 LEFT_OUT = shutil.ignore_patterns(".venv", ".git", "build", "runs", "__pycache__", ".hypothesis")
-# mutmut draws no sample, so a first call, for a mutant that does not exist, makes them all.
-NO_MUTANT = "none.of.all"
+# Errors, and lines that hold nothing but a piece of text.
+SETTINGS = """[mutmut]
+source_paths=concord
+do_not_mutate_patterns=
+    ^\\s*raise 
+    ^\\s*f?"[^"]*"$
+"""
 
 
 @dataclass(frozen=True)
@@ -44,9 +55,7 @@ class MutantOptions:
     """Which mutants are drawn."""
     tests: tuple[str, ...] = ()
     """Names of test files in `tests/FOLDER/`, such as test_bounds; all of them when left out."""
-    workers: int = 1
-    """Processes that try mutants at once."""
-    most_s: float = 30.0
+    most_s: float = 15.0
     """A mutant meets the quickest tests that reach its function, as many as take this long."""
 
 
@@ -60,23 +69,18 @@ class Score:
 
     @property
     def counts(self) -> Counter[str]:
-        """Return the number of drawn mutants of each status of mutmut."""
+        """Return the number of drawn mutants of each status."""
         return Counter(self.statuses.values())
-
-    @property
-    def caught(self) -> int:
-        """Return the number of drawn mutants that some test noticed."""
-        return sum(self.counts[status] for status in CAUGHT)
 
     def line(self) -> str:
         """Return a row of the table, with the interval of Wilson (1927) at 95 %."""
-        drawn = len(self.statuses)
-        test = binomtest(self.caught, drawn)
+        drawn, caught = len(self.statuses), self.counts["caught"]
+        test = binomtest(caught, drawn)
         low, high = (100 * bound for bound in test.proportion_ci(method="wilson"))
-        unreached = self.counts["no tests"]
+        unreached = self.counts["not reached"]
         return (
-            f"| `{self.folder}/` | {self.made} | {drawn} | {self.caught} | {unreached} | "
-            f"{drawn - self.caught - unreached} | {100 * self.caught / drawn:.0f} % "
+            f"| `{self.folder}/` | {self.made} | {drawn} | {caught} | {unreached} | "
+            f"{drawn - caught - unreached} | {100 * caught / drawn:.0f} % "
             f"({low:.0f} to {high:.0f}) |"
         )
 
@@ -87,95 +91,99 @@ HEADING = (
 )
 
 
-def settings(folder: str, tests: tuple[str, ...]) -> str:
-    """Return mutmut's settings for one folder, in the form of `setup.cfg`."""
-    chosen = [f"tests/{folder}/{name}.py" for name in tests] or [f"tests/{folder}"]
-    # mutmut would write over its mutants, and make them again, if it copied the folder as well.
-    package = (f"concord/{path.name}" for path in (ROOT / "concord").iterdir())
-    copied = [name for name in package if name != f"concord/{folder}"]
-    copied += ["docs", "examples", "benchmarks", "launch_local.py", "README.md", *FOLDERS]
-    return "\n".join(
-        (
-            "[mutmut]",
-            # The folders of `concord` are links, which mutmut does not follow further down.
-            f"source_paths=concord/{folder}",
-            "also_copy=" + "".join(f"\n    {name}" for name in copied),
-            "pytest_add_cli_args_test_selection="
-            + "\n    ".join(("", *chosen, "-m", "not (slow or zenoh or browser)")),
-            # Errors, and lines that hold nothing but a piece of text.
-            r"do_not_mutate_patterns=" + "\n    ".join(("", r"^\s*raise ", r'^\s*f?"[^"]*"$')),
-            "",
-        )
-    )
+class Mutable(NamedTuple):
+    """A file of the source, and the mutants that mutmut makes of its functions."""
+
+    path: Path
+    module: "libcst.Module"
+    mutants: "list[Mutation]"
 
 
-def mutmut(work: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run mutmut in a folder."""
+def mutable(path: Path) -> Mutable:
+    """Return the mutants of a file, named from the root of the project."""
+    import libcst
+    from mutmut.mutation.file_mutation import create_mutations
+
+    code = path.read_text(encoding="utf-8")
+    module, found, *_ = create_mutations(str(path), code)
+    # Statements of a class are said to be in a function too.
+    inside = [m for m in found if isinstance(m.contained_by_top_level_function, libcst.FunctionDef)]
+    return Mutable(path, module, inside)
+
+
+def drawn(everything: Sequence[Drawn], options: MutantOptions) -> list[Drawn]:
+    """Return the mutants to try, in their order: the same ones for the same seed."""
+    if not 0 < options.mutants < len(everything):
+        return list(everything)
+    places = random.Random(options.seed).sample(range(len(everything)), options.mutants)
+    return [everything[place] for place in sorted(places)]
+
+
+def written(file: Mutable, chosen: "list[Mutation]") -> dict[str, str]:
+    """Write mutants into a file beside its own code; return the change of each by its name."""
+    from mutmut.mutation.file_mutation import combine_mutations_to_source
+    from mutmut.utils.format_utils import get_mutant_name
+
+    made = combine_mutations_to_source(file.module, chosen)
+    names = [get_mutant_name(Path("concord") / file.path, name) for name in made.mutant_names]
+    before = file.module.code.splitlines(keepends=True)
+    found = {}
+    for name, one in zip(names, chosen, strict=True):
+        after = file.module.deep_replace(one.original_node, one.mutated_node)
+        lines = after.code.splitlines(keepends=True)  # pyright: ignore[reportAttributeAccessIssue]
+        found[name] = "".join(unified_diff(before, lines, str(file.path), name, n=2))
+    file.path.write_text(made.code, encoding="utf-8")
+    return found
+
+
+def places_of(folder: str, names: tuple[str, ...]) -> list[str]:
+    """Return the tests that a mutant of a folder may meet."""
+    if names:
+        return [f"tests/{folder}/{name}.py" for name in names]
+    places = [f"tests/{one}" for one in (folder, *ALSO.get(folder, ()))]
+    return [place for place in places if (ROOT / place).is_dir()]
+
+
+def copied(work: Path) -> None:
+    """Copy the project to where its mutants are made, and go there."""
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(ROOT, work, symlinks=True, ignore=LEFT_OUT)
+    (work / "setup.cfg").write_text(SETTINGS, encoding="utf-8")
+    os.chdir(work)
+
+
+def made(folder: str, options: MutantOptions) -> tuple[int, dict[str, str]]:
+    """Write drawn mutants of a folder; return how many it has, and the change of each drawn one."""
+    files = [mutable(path) for path in sorted(Path(folder).rglob("*.py"))]
+    everything = [(i, one) for i, file in enumerate(files) for one in file.mutants]
+    chosen, changes = drawn(everything, options), {}
+    for i, file in enumerate(files):
+        if mine := [one for place, one in chosen if place == i]:
+            changes |= written(file, mine)
+    return len(everything), changes
+
+
+def tried(work: Path, changes: dict[str, dict[str, str]], options: MutantOptions) -> dict[str, str]:
+    """Return the status of each mutant, of the changes by folder."""
+    own = {folder: places_of(folder, options.tests) for folder in changes}
+    named = [(name, own[folder]) for folder, some in changes.items() for name in some]
+    # A run that is stopped early has tried a sample of each folder.
+    random.Random(options.seed).shuffle(named)
+    tests = sorted({place for places in own.values() for place in places})
+    asked = {"mutants": dict(named), "tests": tests, "most_s": options.most_s}
+    (work / "mutants.json").write_text(json.dumps(asked), encoding="utf-8")
     # The same examples each time: a draw of hypothesis must not decide about a mutant.
-    env = dict(os.environ) | {"CI": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.run(
-        (sys.executable, "-m", "mutmut", *words),
-        cwd=work,
-        env=env,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    env = dict(os.environ) | {"CI": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(work)}
+    with (work / "trials.log").open("w", encoding="utf-8") as log:
+        words = (sys.executable, "-m", "tests.laboratory.mutant_trials")
+        subprocess.run(words, cwd=work, env=env, stdout=log, stderr=log, check=False)
+    return json.loads((work / "statuses.json").read_text(encoding="utf-8"))
 
 
-def statuses(work: Path) -> dict[str, str]:
-    """Return the status of each mutant by its name, as mutmut prints it."""
-    printed = mutmut(work, "results", "--all", "true").stdout
-    return dict(line.strip().split(": ", 1) for line in printed.splitlines() if ": " in line)
-
-
-def quickest(tests: list[str], seconds: dict[str, float], most_s: float) -> list[str]:
-    """Return the quickest tests that take `most_s` together, and at least one."""
-    order = sorted(tests, key=lambda name: (seconds[name], name))
-    ends_s = accumulate(seconds[name] for name in order)
-    kept = [name for name, end_s in zip(order, ends_s, strict=True) if end_s <= most_s]
-    return kept or order[:1]
-
-
-def leave_slow_tests(work: Path, most_s: float) -> None:
-    """Take the slowest tests of each function from mutmut's list of tests by function."""
-    path = work / "mutants" / "mutmut-stats.json"
-    found = json.loads(path.read_text(encoding="utf-8"))
-    by_function = found["tests_by_mangled_function_name"]
-    for name, tests in by_function.items():
-        by_function[name] = quickest(tests, found["duration_by_test"], most_s)
-    path.write_text(json.dumps(found), encoding="utf-8")
-
-
-def drawn(names: list[str], options: MutantOptions) -> list[str]:
-    """Return the mutants to try: the same ones for the same seed."""
-    if not 0 < options.mutants < len(names):
-        return names
-    return sorted(random.Random(options.seed).sample(sorted(names), options.mutants))
-
-
-def tried(folder: str, work: Path, options: MutantOptions) -> Score:
-    """Make all mutants of a folder in a copy of the project, and try a sample of them."""
-    if not work.exists():
-        shutil.copytree(ROOT, work, symlinks=True, ignore=LEFT_OUT)
-        (work / "setup.cfg").write_text(settings(folder, options.tests), encoding="utf-8")
-    first = mutmut(work, "run", NO_MUTANT)
-    names = list(statuses(work))
-    if not names or "nothing matches" not in first.stderr:
-        raise SystemExit(f"mutmut made no mutants of {folder}/: {first.stdout}{first.stderr}")
-    leave_slow_tests(work, options.most_s)
-    sample = drawn(names, options)
-    second = mutmut(work, "run", "--max-children", str(options.workers), *sample)
-    found = statuses(work)
-    if any(found[name] == "not checked" for name in sample):
-        raise SystemExit(f"mutmut did not try all mutants: {second.stdout}{second.stderr}")
-    return Score(folder, len(names), {name: found[name] for name in sample})
-
-
-def survivors(score: Score, work: Path) -> str:
-    """Return the change of each mutant that no test noticed."""
-    left = [name for name, status in score.statuses.items() if status not in CAUGHT]
-    return "".join(mutmut(work, "show", name).stdout for name in left)
+def survivors(score: Score, changes: dict[str, str]) -> str:
+    """Return the change of each mutant that no test noticed, with its status."""
+    left = {name: status for name, status in score.statuses.items() if status != "caught"}
+    return "".join(f"{name}: {status}\n{changes[name]}\n" for name, status in left.items())
 
 
 def mutants(options: Annotated[MutantOptions, tyro.conf.arg(name="")]) -> None:
@@ -184,10 +192,11 @@ def mutants(options: Annotated[MutantOptions, tyro.conf.arg(name="")]) -> None:
         raise SystemExit("mutants: mutmut is not installed; run make .venv/dev.stamp")
     build = ROOT / "build" / "mutants"
     build.mkdir(parents=True, exist_ok=True)
-    rows = [HEADING]
-    for folder in options.folders:
-        score = tried(folder, build / folder, options)
-        (build / f"{folder}.diff").write_text(survivors(score, build / folder), encoding="utf-8")
-        rows.append(score.line())
-        print(f"{folder}: {dict(score.counts)}", flush=True)  # noqa: T201
-    print("\n".join(rows))  # noqa: T201
+    copied(build / "work")
+    found = {folder: made(folder, options) for folder in options.folders}
+    statuses = tried(build / "work", {name: one for name, (_, one) in found.items()}, options)
+    print(HEADING)  # noqa: T201
+    for folder, (count, changes) in found.items():
+        score = Score(folder, count, {one: statuses[one] for one in changes if one in statuses})
+        (build / f"{folder}.diff").write_text(survivors(score, changes), encoding="utf-8")
+        print(score.line(), flush=True)  # noqa: T201

@@ -5,6 +5,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from datetime import timedelta
 from functools import partial
@@ -80,6 +81,7 @@ class _Guarded:
         self._router = start_router(self.endpoint, self.keys(ROUTER_NAME))
         self._recorder = self.join(self.keys(RECORDER), ("**",))
         self._environment = self.join(self.keys(ENVIRONMENT))
+        self._counts: Counter[tuple[str, bytes]] = Counter()
 
     def keys(self, name: str) -> str:
         return str(self._folder / f"{name}.json")
@@ -88,15 +90,23 @@ class _Guarded:
         links = ZenohEndpoints("client", (), (endpoint or self.endpoint,), _JOIN_S, keys)
         return Transport(RUN, links, hears, 1024)
 
-    def arrived(self) -> dict[tuple[str, bytes], int]:
-        """How often each (topic, bytes) has come since the last call."""
-        time.sleep(_SETTLE_S)
+    def settle(self) -> float:
+        """Wait as long as many messages take here, at least half a second; return the seconds."""
+        began_s = time.monotonic()
         self._environment.send("end", b"end")
-        counts: dict[tuple[str, bytes], int] = {}
         while (message := self._recorder.receive("**")) != ("end", b"end"):
             if message is not None:
-                counts[message] = counts.get(message, 0) + 1
-        return counts
+                self._counts[message] += 1
+        settle_s = max(_SETTLE_S, 50 * (time.monotonic() - began_s))
+        time.sleep(settle_s)
+        return settle_s
+
+    def arrived(self) -> Counter[tuple[str, bytes]]:
+        """How often each (topic, bytes) has come since the last call."""
+        self.settle()
+        self.settle()
+        found, self._counts = self._counts, Counter()
+        return found
 
     def answer(self, topic: str) -> None:
         """Make the environment answer queries on a topic."""
@@ -110,11 +120,11 @@ class _Guarded:
 def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
     intruder = guarded.join(keys)
     # The subscriptions of the other sessions must arrive before the first message is sent.
-    time.sleep(_SETTLE_S)
+    guarded.settle()
     for topic in topics:
         for _ in range(TRIES):
             intruder.send(topic, mark)
-    time.sleep(_SETTLE_S)
+    guarded.settle()
     intruder.close()
 
 
@@ -155,7 +165,7 @@ def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> Intrus
 def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
-    time.sleep(_SETTLE_S)
+    guarded.settle()
     _write_to(guarded, guarded.keys(certificate_name(0)), ("share/0",), b"heard")
     heard: queue.Queue[object] = queue.Queue()
 
@@ -179,7 +189,7 @@ def _commands(guarded: _Guarded) -> list[IntrusionAttempt]:
         (certificate_name(0), _REFUSED),
     ):
         session = guarded.join(guarded.keys(who))
-        time.sleep(_SETTLE_S)
+        guarded.settle()
         came = int(session.ask("control", b"pause", _JOIN_S) is not None)
         attempts.append(_attempt(who, "commands the network", wanted, came, 1))
         session.close()
@@ -195,7 +205,7 @@ def _tokens(guarded: _Guarded) -> list[IntrusionAttempt]:
     for node, wanted in ((0, _REFUSED), (1, _DELIVERED)):
         session = guarded.join(guarded.keys(certificate_name(node)))
         session.join("1", ())
-        wait.join(2 * _SETTLE_S)
+        wait.join(2 * guarded.settle())
         tried = "says that node 1 is ready"
         came = int(not wait.is_alive())
         attempts.append(_attempt(certificate_name(node), tried, wanted, came, 1))
@@ -248,7 +258,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
         guest = enter()
     except LinkError:
         return 0
-    time.sleep(_SETTLE_S)
+    guarded.settle()
     for _ in range(TRIES):
         guest.send("share/0", b"guest")
     came = guarded.arrived().get(("share/0", b"guest"), 0)

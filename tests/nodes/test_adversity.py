@@ -27,7 +27,7 @@ from tests.nodes.networks import (
 
 
 @given(networks(), st.floats(0, 0.9), SEEDS, SEEDS)
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_what_a_link_loses_is_as_if_it_had_never_come(
     net: Network, loss: float, fate: int, order: int
 ):
@@ -51,7 +51,7 @@ def test_what_a_link_loses_is_as_if_it_had_never_come(
 
 def test_a_neighbour_may_run_far_ahead_without_loss():
     """Node 0 is served last: by then its neighbour has run as far ahead as turns allow."""
-    count, rounds = 80, 60
+    count, rounds = 50, 40
     generator = np.random.default_rng(0)
     net = network(
         ring(count),

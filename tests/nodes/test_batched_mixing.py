@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.filters.gaussian import Gaussian
@@ -25,6 +25,7 @@ def by_age(base: np.ndarray, ages: np.ndarray) -> np.ndarray:
     return base * np.where(ages < 0, 0.0, 0.5**ages)
 
 
+@settings(max_examples=40)
 @given(SIZES, st.integers(1, 3), st.booleans(), st.booleans(), st.booleans(), st.integers(0, 999))
 def test_a_round_is_a_weighted_sum_over_who_is_heard(nodes, runs, perfect, alike, same, seed):
     generator = np.random.default_rng(seed)
@@ -124,6 +125,7 @@ def rounds_by_loops(
     )
 
 
+@settings(max_examples=30)
 @given(
     st.lists(st.booleans(), min_size=1, max_size=4),
     st.booleans(),

@@ -137,7 +137,7 @@ def _ages(net: Network, held: dict[tuple[int, int], Held], i: int) -> list[int]:
 
 @given(graphs(least=2, most=5), st.integers(1, 3), st.integers(0, 2), SEEDS, st.floats(0, 0.8))
 @pytest.mark.parametrize("name", ["drop", "predict", "decayed"])
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_lost_and_held_shares_are_as_written_out(
     name: str, adjacency: Adjacency, rounds: int, kind: int, seed: int, loss: float
 ):

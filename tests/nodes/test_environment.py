@@ -74,7 +74,7 @@ def test_the_lead_is_never_exceeded_and_every_step_is_sent_once(
 
 
 @given(st.integers(1, 5), st.integers(1, 5), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
+@settings(max_examples=8)
 def test_the_lead_changes_no_number_of_an_undriven_plant(one: int, other: int, seed: int):
     priors = random_priors(np.random.default_rng(seed), 3, 2)
     outcomes = [
@@ -97,6 +97,7 @@ def granted(config: EnvironmentConfig, bids: list[Bid]) -> tuple[list[Grant], En
     return grants, state
 
 
+@settings(max_examples=30)
 @given(st.lists(st.one_of(st.none(), st.integers(0, 3)), min_size=4, max_size=4))
 def test_grants_do_not_depend_on_the_order_of_bids(urgencies: list[int | None]):
     config = world_of(4, 2, 2, dynamic_only(4, 0.5))

@@ -105,7 +105,7 @@ def test_on_a_complete_graph_one_round_is_the_centralised_filter(rule: str):
 
 
 @given(graphs(), st.integers(1, 5), st.data(), SEEDS, st.floats(0, 0.8))
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_the_row_that_travels_is_that_of_the_weights_really_used(
     adjacency: Adjacency, rounds: int, data: st.DataObject, seed: int, loss: float
 ):
@@ -149,7 +149,7 @@ def with_number_of_nodes_as_gain(numbers: np.ndarray, states: int) -> Gaussian:
 
 
 @given(graphs(least=2, most=5), st.integers(1, 3), st.data(), SEEDS, st.floats(0, 0.6))
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_icf_is_hybrid_consensus_with_the_number_of_nodes_as_gain(
     adjacency: Adjacency, rounds: int, data: st.DataObject, seed: int, loss: float
 ):
@@ -211,7 +211,7 @@ def written_out(net: Network, priors: list[Gaussian], outcome: Outcome, arrived:
 
 @given(graphs(least=2, most=5), st.integers(1, 3), st.data(), SEEDS, st.floats(0, 0.6))
 @pytest.mark.parametrize("rule", ["kcf", "diffusion"])
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_diffusion_and_kalman_consensus_are_as_written_out(
     rule: str, adjacency: Adjacency, rounds: int, data: st.DataObject, seed: int, loss: float
 ):
@@ -236,7 +236,7 @@ def test_diffusion_and_kalman_consensus_are_as_written_out(
 
 
 @given(st.sampled_from(ALL), st.data(), st.floats(0, 0.7), SEEDS)
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_any_order_of_arrival_gives_the_same_bits(
     rule: str, data: st.DataObject, loss: float, seed: int
 ):

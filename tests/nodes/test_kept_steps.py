@@ -24,7 +24,7 @@ def alone(node: NodeConfig) -> NodeConfig:
 @pytest.mark.parametrize("loss", [0.0, 0.4])
 def test_shared_steps_are_those_of_a_node_alone(loss: float, monkeypatch: pytest.MonkeyPatch):
     setup = prepare(
-        scenario("target-tracking", nodes=6, steps=25, rule="labelled", schedule="full", loss=loss)
+        scenario("target-tracking", nodes=4, steps=16, rule="labelled", schedule="full", loss=loss)
     )
     updates: list[int] = []
     update = SigmaPointFilter.update
@@ -41,9 +41,9 @@ def test_shared_steps_are_those_of_a_node_alone(loss: float, monkeypatch: pytest
         in_process.run(build_environment(setup), nodes, recorder)
         return recorder.messages, len(updates)
 
-    shared, few = messages([build_node(setup, node) for node in range(6)])
-    again, none = messages([build_node(setup, node) for node in range(6)])
-    by_themselves, many = messages([alone(build_node(setup, node)) for node in range(6)])
+    shared, few = messages([build_node(setup, node) for node in range(4)])
+    again, none = messages([build_node(setup, node) for node in range(4)])
+    by_themselves, many = messages([alone(build_node(setup, node)) for node in range(4)])
     assert shared == by_themselves == again
-    # Each reading is taken six times by nodes alone, and once at best.
+    # Each reading is taken four times by nodes alone, and once at best.
     assert few < many / 2 and none <= few

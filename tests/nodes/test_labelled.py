@@ -102,7 +102,7 @@ def test_with_all_records_in_time_every_node_is_the_centralised_filter(relay: bo
 
 
 @given(graphs(least=2, most=5), SEEDS)
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_nodes_that_hold_the_same_agree_bit_for_bit(adjacency, seed: int):
     """Whatever the order in which it came to them: rounds enough for all to be everywhere."""
     count = len(adjacency)
@@ -117,7 +117,7 @@ def test_nodes_that_hold_the_same_agree_bit_for_bit(adjacency, seed: int):
 
 
 @given(graphs(least=2, most=5), SEEDS)
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_once_all_records_came_the_base_is_the_centralised_posterior(adjacency, seed: int):
     """One slot a cycle: records come late, and are all there when their step leaves the window."""
     count = len(adjacency)
@@ -141,14 +141,14 @@ def test_once_all_records_came_the_base_is_the_centralised_posterior(adjacency, 
 
 
 @given(networks())
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_without_loss_a_node_holds_exactly_what_could_reach_it(net: Network):
     outcome = run(net)
     assert held_by(outcome.states) == reachable(net, outcome, ALWAYS)[-1]
 
 
 @given(networks(digest=True), SEEDS, st.floats(0, 0.7))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_with_loss_a_node_holds_exactly_what_could_reach_it(net: Network, seed: int, loss: float):
     """With digests of the whole window; the frames that came say the same."""
     link, arrives = fate(seed, loss)
@@ -159,7 +159,7 @@ def test_with_loss_a_node_holds_exactly_what_could_reach_it(net: Network, seed: 
 
 
 @given(networks(digest=True), SEEDS)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_on_a_graph_that_changes_a_node_holds_exactly_what_could_reach_it(net: Network, seed: int):
     """Every link is there in some steps and not in others, in one direction or both."""
 
@@ -195,7 +195,7 @@ def test_a_digest_brings_back_what_was_lost(repeat_above: float):
 
 
 @given(networks(least_window=4, most_steps=4), SEEDS, st.floats(0, 0.6))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_the_estimate_is_that_of_the_records_held_each_counted_once(
     net: Network, seed: int, loss: float
 ):
@@ -210,7 +210,7 @@ def test_the_estimate_is_that_of_the_records_held_each_counted_once(
 
 
 @given(networks(digest=True), SEEDS, st.floats(0, 0.6))
-@settings(max_examples=50)
+@settings(max_examples=15)
 def test_nobody_ever_knows_more_than_the_centralised_filter(net: Network, seed: int, loss: float):
     """Windows pass and checkpoints are fused: a record counted twice would show."""
     link, _ = fate(seed, loss)
@@ -225,7 +225,7 @@ def test_nobody_ever_knows_more_than_the_centralised_filter(net: Network, seed: 
 
 
 @given(networks(digest=True), SEEDS, st.floats(0, 0.6))
-@settings(max_examples=25)
+@settings(max_examples=8)
 def test_any_order_of_arrival_gives_the_same_bits(net: Network, seed: int, loss: float):
     link, _ = fate(seed, loss)
     first = run(net, link)

@@ -42,7 +42,7 @@ def network(name: str = "oscillator", **options: object) -> Setup:
     return small(name, **{"nodes": NODES, "graph": BEGINNING, "steps": STEPS, **options})
 
 
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(graphs())
 def test_a_graph_that_is_set_at_the_first_step_is_that_of_the_network(graph: str):
     assert same_bits(run(network(), f"0 set graph={graph}"), run(network(graph=graph)))
@@ -62,14 +62,14 @@ def test_each_rule_takes_another_graph(rule: str):
     assert same_bits(run(one, "0 set graph=complete"), run(other, anew))
 
 
-@settings(max_examples=15)
+@settings(max_examples=4)
 @given(graphs(), graphs(), SEEDS)
 def test_the_order_of_messages_does_not_matter(one: str, other: str, seed: int):
     lines = (f"3 set graph={one}", f"5 set graph={other}", "6 kill 2", "8 restart 2")
     assert same_bits(run(network(), *lines), run(network(), *lines, pick=shuffled(seed)))
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(graphs())
 def test_ages_and_frames_follow_the_links_of_each_step(graph: str):
     setup = prepare(network().scenario.with_(changes=(f"4 set graph={graph}",)))

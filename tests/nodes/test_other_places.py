@@ -57,14 +57,14 @@ def test_sensors_measure_from_where_they_stand():
     assert np.abs(gap).max() > 5
 
 
-@settings(max_examples=15)
+@settings(max_examples=4)
 @given(PLACES)
 def test_places_that_are_set_at_the_first_step_are_those_of_the_network(places: np.ndarray):
     moved = run(network(), f"0 set placement={site_text(places)}")
     assert same_bits(moved, run(network(places), "0 set rounds=3"))
 
 
-@settings(max_examples=10)
+@settings(max_examples=3)
 @given(PLACES, PLACES, SEEDS)
 def test_the_order_of_messages_does_not_matter(one: np.ndarray, other: np.ndarray, seed: int):
     lines = (f"3 set placement={site_text(one)}", f"5 set placement={site_text(other)}",
@@ -72,7 +72,7 @@ def test_the_order_of_messages_does_not_matter(one: np.ndarray, other: np.ndarra
     assert same_bits(run(network(), *lines), run(network(), *lines, pick=shuffled(seed)))
 
 
-@settings(max_examples=10)
+@settings(max_examples=3)
 @given(PLACES)
 def test_the_filters_beside_the_network_take_the_sensors_where_they_stood(places: np.ndarray):
     """They are filters of the one placement up to the move, and go on as those of the other."""

@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -80,6 +80,7 @@ def after(choice: RecordChoice, events: list[tuple[str, Labels]]):
     return known, reports, ledger
 
 
+@settings(max_examples=40)
 @given(LABELS, st.lists(EVENTS, min_size=1, max_size=3), st.sampled_from([0.0, 0.5, 1.2]))
 def test_a_node_sends_what_expectation_says(
     held: Labels, events: list[list[tuple[str, Labels]]], above: float
@@ -103,6 +104,7 @@ def test_a_node_sends_what_expectation_says(
     assert taken == 6 * len(expected)
 
 
+@settings(max_examples=40)
 @given(LABELS, EVENTS, st.integers(0, 60), st.integers(0, 120))
 def test_repetitions_stay_within_their_bytes(
     held: Labels, events: list[tuple[str, Labels]], cap: int, room: int

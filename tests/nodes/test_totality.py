@@ -74,7 +74,7 @@ def any_events(draw: st.DrawFn, config: NodeConfig) -> list[NodeEvent]:
 
 
 @given(st.data(), st.sampled_from(sorted(SCHEDULES)), st.booleans())
-@settings(max_examples=200)
+@settings(max_examples=60)
 def test_a_node_survives_any_events(data: st.DataObject, name: str, held: bool):
     config = middle_node(SCHEDULES[name], hold_policy=DECAYED if held else DROP)
     events = data.draw(any_events(config))
@@ -101,7 +101,7 @@ def test_a_node_survives_any_events(data: st.DataObject, name: str, held: bool):
     assert len(state.inbox.parts) + len(state.inbox.shares) + len(state.inbox.grants) <= len(events)
 
 
-ABSURD = [-1.7e308, 1e-200, 1.0, 1e8, 1.7e308]
+ABSURD = [-1.7e308, 1e-200, 1e8, 1.7e308]
 
 
 @pytest.mark.parametrize("hold", [DECAYED, DROP], ids=["decayed", "drop"])
@@ -125,7 +125,7 @@ def test_absurd_beliefs_with_right_checksums_stop_nobody(name: str, average, hol
 
 
 @given(st.data())
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_the_same_events_give_the_same_messages(data: st.DataObject):
     """No memory but the state: stepping is a function, and states are values that stay."""
     config = middle_node()

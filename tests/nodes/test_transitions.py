@@ -85,7 +85,7 @@ EVENTS: st.SearchStrategy[EnvironmentEvent] = st.one_of(
 
 
 @given(st.lists(EVENTS, max_size=40), st.integers(1, STEPS))
-@settings(max_examples=300)
+@settings(max_examples=120)
 def test_the_environment_makes_the_transitions_of_its_table(
     events: list[EnvironmentEvent], lead: int
 ):

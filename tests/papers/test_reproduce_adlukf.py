@@ -212,13 +212,13 @@ def test_one_seed_is_refused(tmp_path: Path, capsys):
     assert "at least 2" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.skipif(
     importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_the_whole_reproduction_holds(tmp_path: Path, capsys):
     folder = tmp_path / "adlukf"
-    main(["reproduce", "adlukf", "--runs", "20", "--out", str(folder), "--json"])
+    main(["reproduce", "adlukf", "--runs", "6", "--out", str(folder), "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["ok"]
     for name in ("figure-4.png", "figure-5.png", "figure-9.png"):

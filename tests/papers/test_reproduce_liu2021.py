@@ -80,7 +80,7 @@ def test_both_mutants_violate():
         assert mutant.outside > 0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_command_writes_its_report_and_figures(tmp_path: Path, capsys):
     folder = tmp_path / "liu2021"
     main(["reproduce", "liu2021", "--runs", "40", "--out", str(folder), "--json"])

@@ -259,17 +259,25 @@ def test_a_number_that_stands_for_none_is_refused_then_left_out(
     assert len(column_of(numbers, tmp_path, "not_available = []\n").values) == 60
 
 
+def test_two_numbers_that_stand_for_none_do_not_hide_each_other(tmp_path: Path):
+    numbers = [65535.0 if k % 20 == 9 else 65534.0 if k == 5 else v for k, v in enumerate(SOUND)]
+    with pytest.raises(ValueError, match=r"in 4 of 60 readings.*= \[65534, 65535\] in the column"):
+        column_of(numbers, tmp_path)
+    assert len(column_of(numbers, tmp_path, "not_available = [65534, 65535]\n").values) == 56
+
+
 @pytest.mark.parametrize(
     "numbers",
     [
         SOUND,
+        [5.0 if k % 25 == 3 else 1e-3 * (-1) ** k for k in range(200)],  # pulses
         [0.0] * 30 + [1.0] * 5,  # a brake light
         [*SOUND, 90.0],  # one outlier
         [float(k) for k in range(300)],  # goes through 127 and 255
         [0.0, 255.0] * 20,  # a counter of one byte
         [1e-3 * (-1) ** k for k in range(20)],
     ],
-    ids=["sound", "two levels", "outlier", "ramp", "counter", "small"],
+    ids=["sound", "pulses", "two levels", "outlier", "ramp", "counter", "small"],
 )
 def test_readings_of_a_sound_sensor_are_all_taken(numbers: list[float], tmp_path: Path):
     assert len(column_of(numbers, tmp_path).values) == len(numbers)

@@ -9,6 +9,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,9 +46,15 @@ def without_quotations(text: str) -> str:
     return " ".join(_QUOTED.sub(PLACEHOLDER, " ".join(text.split())).split())
 
 
+@lru_cache(maxsize=1)
+def python_nodes(text: str) -> list[ast.AST]:
+    """Return the nodes of the syntax tree of a text, in the order of ast.walk."""
+    return list(ast.walk(ast.parse(text)))
+
+
 def _python_docstrings(text: str) -> Iterator[Block]:
     """Yield each string that stands alone: docstrings, and the help of fields and constants."""
-    for node in ast.walk(ast.parse(text)):
+    for node in python_nodes(text):
         match node:
             case ast.Expr(value=ast.Constant(value=str(words))):
                 yield from _paragraphs(words.splitlines(), node.lineno)

@@ -1,13 +1,12 @@
 """Findings of the prose rules in files, each with its file, its line and the rule."""
 
-import ast
 import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.prose.blocks import Block, blocks
+from tests.prose.blocks import Block, blocks, python_nodes
 from tests.prose.names import defined, retired_in_identifier, retired_in_prose
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -15,6 +14,8 @@ MOST_WORDS = 35
 SUFFIXES = (".py", ".md")
 # Names are retired in the product and its pages; a test may use a retired word to look for it.
 _UNNAMED = ("tests/",)
+# At the start of a line of a text that git wrote for two versions of it.
+_OF_A_MERGE = (7 * "<" + " ", 7 * ">" + " ")
 _OPENING = re.compile(
     r"(?:Who|Whoever|Nobody|Somebody|What|All that|Such|One that)\b", re.IGNORECASE
 )
@@ -71,20 +72,29 @@ def name_findings(path: str, text: str, prose: Iterable[Block]) -> Iterator[Find
             yield Finding(path, block.line, rule, block.text)
     if not path.endswith(".py"):
         return
-    named = {*defined(ast.parse(text)), (1, Path(path).stem)}
+    named = {*defined(python_nodes(text)), (1, Path(path).stem)}
     for line, name in sorted(named):
         for retired in retired_in_identifier(path, name):
             rule = f"'{retired.word}' is retired; name it '{retired.becomes}'"
             yield Finding(path, line, rule, name)
 
 
+def merge_findings(path: str, text: str) -> Iterator[Finding]:
+    """Yield the lines at which a merge begins or ends that was left open."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith(_OF_A_MERGE):
+            yield Finding(path, number, "a merge was left open; choose a text", line)
+
+
 def findings(file: Path, root: Path = ROOT) -> list[Finding]:
     """Return every finding in one file, by line."""
-    path = file.relative_to(root).as_posix()
+    path, text = file.relative_to(root).as_posix(), file.read_text(encoding="utf-8")
+    if found := list(merge_findings(path, text)):
+        return found
     prose = blocks(file)
     found = [finding for block in prose for finding in sentence_findings(path, block)]
     if not path.startswith(_UNNAMED):
-        found += name_findings(path, file.read_text(encoding="utf-8"), prose)
+        found += name_findings(path, text, prose)
     return sorted(found, key=lambda finding: finding.line)
 
 

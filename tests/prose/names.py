@@ -6,7 +6,7 @@ retired only as an identifier, and only in the folders where it named the retire
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 
@@ -80,6 +80,7 @@ RETIRED = (
 )
 
 
+_ANY = re.compile("|".join(retired.word for retired in RETIRED), re.IGNORECASE)
 # Names of the literature that contain a retired word.
 _TERMS = re.compile(r"small[ _-]world", re.IGNORECASE)
 
@@ -87,6 +88,8 @@ _TERMS = re.compile(r"small[ _-]world", re.IGNORECASE)
 def retired_in_prose(path: str, text: str) -> Iterator[Retired]:
     """Yield each retired word that a block of prose contains, once."""
     text = _TERMS.sub("", text)
+    if not _ANY.search(text):
+        return
     for retired in RETIRED:
         if retired.in_prose and retired.holds_in(path):
             plural = "" if " " in retired.word else "s?"
@@ -94,10 +97,10 @@ def retired_in_prose(path: str, text: str) -> Iterator[Retired]:
                 yield retired
 
 
-def defined(tree: ast.AST) -> Iterator[tuple[int, str]]:
+def defined(nodes: Iterable[ast.AST]) -> Iterator[tuple[int, str]]:
     """Yield line and name of everything that a file defines: functions, classes, arguments, fields
     and variables."""
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case (
                 ast.FunctionDef(name=name)
@@ -126,6 +129,8 @@ def retired_in_identifier(path: str, name: str) -> Iterator[Retired]:
     """
     words = words_of(_TERMS.sub("", name))
     text = f" {' '.join(words).lower()} "
+    if not _ANY.search(text):
+        return
     for retired in RETIRED:
         if not (retired.in_identifiers and retired.holds_in(path)):
             continue

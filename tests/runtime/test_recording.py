@@ -106,7 +106,7 @@ def test_a_recording_cut_at_any_byte_is_read_up_to_the_cut(
 def test_an_open_recording_cut_anywhere_is_readable_too(tmp_path: Path):
     file = tmp_path / "run.mcap"
     unclosed, _ = write(file, MESSAGES[:6])
-    for cut in range(len(unclosed) + 1):
+    for cut in range(0, len(unclosed) + 1, 7):
         file.write_bytes(unclosed[:cut])
         read = list(read_recording(file))
         assert read == MESSAGES[: len(read)]

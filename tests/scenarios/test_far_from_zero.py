@@ -131,9 +131,9 @@ def test_a_moved_plant_has_the_moved_answer(
     check_moved(seed, shift, scale, rule, number)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("rule", "number"), CASES)
-@settings(max_examples=15, deadline=None, phases=PHASES)
+@settings(max_examples=6, deadline=None, phases=PHASES)
 @given(SEEDS, SHIFTS, SCALES)
 def test_many_moved_plants_have_the_moved_answer(
     rule: str, number: str, seed: int, shift: np.ndarray, scale: float
@@ -145,13 +145,12 @@ def test_many_moved_plants_have_the_moved_answer(
 def test_messages_have_the_moved_answer(rule: str, number: str):
     """The driver of messages, beside the arrays of the test above."""
     shift = np.array([5.4e6, -3e6, 1e7])
-    for seed in (3, 4):
-        here = prepare(plant_at(seed, np.zeros(3), 1.0, rule=rule, number=number))
-        there = prepare(plant_at(seed, shift, 0.25, rule=rule, number=number))
-        one, other = (read_trace(setup, in_memory(setup)) for setup in (here, there))
-        deviation = np.sqrt(np.diagonal(one.cov, axis1=-2, axis2=-1))
-        back = (other.mean - shift[: one.mean.shape[-1]]) / 0.25
-        assert (np.abs(back - one.mean) <= STEP[number] * deviation + 1e-6).all()
+    here = prepare(plant_at(3, np.zeros(3), 1.0, rule=rule, number=number))
+    there = prepare(plant_at(3, shift, 0.25, rule=rule, number=number))
+    one, other = (read_trace(setup, in_memory(setup)) for setup in (here, there))
+    deviation = np.sqrt(np.diagonal(one.cov, axis1=-2, axis2=-1))
+    back = (other.mean - shift[: one.mean.shape[-1]]) / 0.25
+    assert (np.abs(back - one.mean) <= STEP[number] * deviation + 1e-6).all()
 
 
 SCENARIO = """

@@ -66,9 +66,9 @@ def test_records_in_use_are_those_that_a_search_of_the_schedule_finds(number: in
     assert found.deviation <= 1e-9
 
 
-@pytest.mark.slow
-def test_records_in_use_are_those_that_a_search_finds_in_fifty_networks():
-    for number in range(4, 50):
+@pytest.mark.study
+def test_records_in_use_are_those_that_a_search_finds_in_twenty_networks():
+    for number in range(4, 20):
         found = audit(number)
         assert (found.missing, found.impossible) == (0, 0), number
         assert found.deviation <= 1e-9, number
@@ -146,7 +146,7 @@ def test_processes_give_the_bits_of_one_process(relay: bool, tmp_path: Path):
 # --- gates ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_gate_lets_pass_what_is_as_likely_as_it_should_be():
     """Thresholds are for as many entries as were taken."""
     scenario = setup_of(gate_probability=0.01).scenario
@@ -186,7 +186,7 @@ def over_centralised(found: Sequence[CaseOutcome]) -> Interval:
     return ratio_t(*np.array(squared, dtype=np.float64).T)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("options", "figure"),
     [
@@ -201,13 +201,13 @@ def test_lost_frames_and_a_long_path_cost_no_more_than_the_study_measured(option
     assert over_centralised(found).low <= figure
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_restarted_hub_has_an_estimate_within_two_steps():
     found = runs_of_case(case(0.25)._replace(hub_dies=True), 2)
     assert np.mean([np.isnan(one.squared[:, HUB]).sum() for one in found]) <= 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("options", "figure"),
     [({"schedule": "hybrid"}, 1.254), ({"schedule": "dynamic", "relay": True}, 1.051)],

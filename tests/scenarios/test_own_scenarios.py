@@ -19,7 +19,7 @@ from concord.studies.monte_carlo.simulate import AGES, INNOVATIONS, READINGS, si
 from tests.test_batched_agreement import check_agreement
 
 STEP_S = 0.1
-STEPS = 60
+STEPS = 40
 MOVE = np.array([[1.0, STEP_S], [0.0, 0.98]])
 THRUST = np.sin(0.3 * np.arange(400))
 CART = OwnPlant(
@@ -130,7 +130,7 @@ def planted(**true: Any) -> Truth:
     ids=["as-believed", "Q", "less-Q", "bias", "R", "less-R", "outliers", "no-input", "all"],
 )  # fmt: skip
 def test_the_verdict_names_what_was_planted(truth: Truth, cause: str, says: str):
-    asked = own_scenario(CART, MANY, truth=truth, graph="complete", steps=300)
-    setup = prepare(asked.with_(rule="labelled", bus="ideal"))
-    found = summarise(simulate(setup, range(8), keep=(READINGS, AGES, INNOVATIONS)))
+    asked = own_scenario(CART, MANY, truth=truth, graph="complete", steps=80)
+    setup = prepare(asked.with_(rule="labelled", rounds=1, bus="ideal"))
+    found = summarise(simulate(setup, range(24), keep=(READINGS, AGES, INNOVATIONS)))
     assert (found.verdict.cause, says in found.verdict.said) == (cause, True), found.verdict.said

@@ -122,7 +122,7 @@ def test_the_network_propagates_every_draw_as_computed(rule: str):
         assert covs[step] == pytest.approx(moments.reported, rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("rule", FUSED)
 def test_monte_carlo_of_the_network_agrees(rule: str):
     nodes, steps, runs = 4, 15, 150
@@ -418,6 +418,7 @@ def test_disagreement_fades_with_the_rounds_as_printed():
     assert fading == pytest.approx(PRINTED_DISAGREEMENT, abs=6e-4)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("rule", FUSED)
 def test_the_largest_eigenvalues_are_the_printed_ones(rule: str):
     """The path is worst but for the safe rule, which is centralised on the complete graph.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import concord as cc
+from concord.experiments.cli.design import lines
 from concord.filters.gaussian import Gaussian
 from concord.runtime.batched.build import build_network
 from concord.runtime.batched.driver import run
@@ -15,11 +16,13 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.rules import hold_of
+from concord.studies.design import candidates
 from concord.studies.exact.averaged_errors import propagate as averaged
 from concord.studies.exact.averaged_rules import RULES
 from concord.studies.exact.network import exact_network, linear_network
 from concord.studies.exact.results import Exact, exact_of
 from concord.studies.monte_carlo.simulate import simulate
+from concord.studies.sweep.pieces import Piece
 
 STEPS = 9
 HELD = {"schedule": "round-robin", "occupancy": 0.25}
@@ -276,3 +279,24 @@ def test_a_design_takes_exact_figures_and_runs_for_the_rest():
     assert found.recommended is not None
     widths = {one.values["rule"]: one.error.high - one.error.low for one in found.tried}
     assert widths["ci"] < 1e-12 and widths["hcmci"] < 1e-12 < widths["labelled"]
+    assert all(one.exact == (one.error.high - one.error.low < 1e-12) for one in found.tried)
+
+
+def test_a_design_computes_an_exact_candidate_once(monkeypatch: pytest.MonkeyPatch):
+    """Not again in each round of its race, nor for the confirmation."""
+    computed: list[str] = []
+    compute = candidates.compute
+
+    def counted(piece: Piece) -> dict[str, np.ndarray]:
+        computed.append(piece.scenario.decode())
+        return compute(piece)
+
+    monkeypatch.setattr(candidates, "compute", counted)
+    options: Any = {"graph": "ring", "weights": "metropolis", "number": "float64"}
+    found = cc.design(
+        "1.6x-centralised", case(steps=40), exact=True, workers=1, rule="ci", rounds=[1, 2],
+        schedule="full", **options,
+    )  # fmt: skip
+    assert "exactly, without runs" in " ".join(lines(found))
+    assert found.recommended is not None and found.recommended.exact
+    assert len(computed) == len(found.tried)

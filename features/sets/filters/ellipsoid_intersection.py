@@ -10,6 +10,8 @@ Sources: Kahan (1968), Circumscribing an ellipsoid about the intersection of two
 Schweppe (1968); Fogel and Huang (1982), for a strip.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from concord.features.sets.filters.criterion import unit_free
@@ -24,8 +26,9 @@ from concord.features.sets.filters.ellipsoid import (
 from concord.features.sets.filters.rounding import rounding_bound, row_units
 from concord.filters.linalg import multiply
 
-# The weight is looked for on a grid of its logarithm, each time around the best of the last.
-_GRID, _ZOOMS = 25, 4
+# The weight is looked for on a grid of its logarithm, each time around the best of the last, and
+# then where the slope of the trace is zero.
+_GRID, _ZOOMS, _SECANTS = 25, 4, 4
 _MARGIN = 18.0
 _TIE = 1e-12
 
@@ -71,6 +74,44 @@ def strip_intersection(
     return _narrowed(own, rows / radius[..., None], offset / radius)
 
 
+class _Cut(NamedTuple):
+    """|u|^2 <= 1 and |b + T u|^2 <= 1 along the singular vectors of T.
+
+    Squares (..., r) of singular values and of the offset b along them, the rest of |b|^2 (...), and
+    the squared lengths (..., r) of the first ellipsoid's axes, each state in its own units.
+    """
+
+    squares: np.ndarray
+    shifts: np.ndarray
+    beyond: np.ndarray
+    sizes: np.ndarray
+
+    def for_weights(self) -> "_Cut":
+        """Return the same for weights (..., k) in place of (...)."""
+        squares, shifts, sizes = (
+            one[..., None, :] for one in (self.squares, self.shifts, self.sizes)
+        )
+        return _Cut(squares, shifts, self.beyond[..., None], sizes)
+
+    def room(self, weight: np.ndarray) -> np.ndarray:
+        """1 + w - min over u of |u|^2 + w |b + T u|^2: negative where the sets share nothing."""
+        taken = self.beyond + (self.shifts / (1.0 + weight[..., None] * self.squares)).sum(-1)
+        return 1.0 + weight * (1.0 - taken)
+
+    def trace(self, weight: np.ndarray) -> np.ndarray:
+        """Return the trace of the ellipsoid around both."""
+        return self.room(weight) * (self.sizes / (1.0 + weight[..., None] * self.squares)).sum(-1)
+
+    def slope(self, logarithm: np.ndarray) -> np.ndarray:
+        """Return the derivative of the logarithm of the trace by that of the weight."""
+        weight = np.exp(logarithm)
+        at = 1.0 + weight[..., None] * self.squares
+        more = (self.shifts * self.squares / at**2).sum(-1)
+        rise = 1.0 - self.beyond - (self.shifts / at).sum(-1) + weight * more
+        fall = (self.sizes * self.squares / at**2).sum(-1) / (self.sizes / at).sum(-1)
+        return weight * (rise / self.room(weight) - fall)
+
+
 def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid:
     """Around the points centre + factor u with |u| <= 1 and |offset + rows u| <= 1."""
     left, singular, right = np.linalg.svd(rows, full_matrices=True)
@@ -81,9 +122,10 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
     stretch[..., :count], shift[..., :count] = singular, along[..., :count]
     beyond = (along[..., count:] ** 2).sum(-1)
     relative = turned / row_units(own.factor)[..., None]
-    weight = _best_weight(stretch**2, shift**2, beyond, (relative**2).sum(-2))
+    cut = _Cut(stretch**2, shift**2, beyond, (relative**2).sum(-2))
+    weight = _best_weight(cut)
     eigenvalues = 1.0 + weight[..., None] * stretch**2
-    room = _room(weight, stretch**2, shift**2, beyond)
+    room = cut.room(weight)
     # The room grows by the error that rounding may have caused in the eigenvectors and in itself.
     spread = eigenvalues.max(-1) / eigenvalues.min(-1)
     rounding = rounding_bound(own.centre.shape[-1] + turned.shape[-1])
@@ -105,51 +147,51 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
     return lose(chosen, is_lost(chosen))
 
 
-def _room(
-    weight: np.ndarray, squares: np.ndarray, shifts: np.ndarray, beyond: np.ndarray
-) -> np.ndarray:
-    """1 + w - min over u of |u|^2 + w |b + T u|^2: negative where the sets share nothing."""
-    taken = beyond + (shifts / (1.0 + weight[..., None] * squares)).sum(-1)
-    return 1.0 + weight * (1.0 - taken)
-
-
-def _best_weight(
-    squares: np.ndarray, shifts: np.ndarray, beyond: np.ndarray, sizes: np.ndarray
-) -> np.ndarray:
-    """w (...) at which room times sum sizes / (1 + w squares), the trace, is least.
+def _best_weight(cut: _Cut) -> np.ndarray:
+    """w (...) at which the trace is least.
 
     Quasi-convex in w, so that zooming in finds it: the trace is a convex function of the two
     multipliers, of degree -1, times one of degree 1.
     """
-    largest = squares.max(-1)
-    least = np.where(squares > 0, squares, np.inf).min(-1)
+    largest = cut.squares.max(-1)
+    least = np.where(cut.squares > 0, cut.squares, np.inf).min(-1)
     least = np.where(np.isfinite(least), least, 1.0)
     low = -_MARGIN - np.log1p(largest)
     high = _MARGIN + np.log1p(1.0 / np.maximum(least, np.finfo(float).tiny))
     for _ in range(_ZOOMS):
-        middle, spacing = _best_of_grid(low, high, squares, shifts, beyond, sizes)
+        middle, spacing = _best_of_grid(low, high, cut)
         low, high = middle - spacing, middle + spacing
-    return np.exp(0.5 * (low + high))
+    return np.exp(_flat_point(low, high, cut))
 
 
-def _best_of_grid(
-    low: np.ndarray,
-    high: np.ndarray,
-    squares: np.ndarray,
-    shifts: np.ndarray,
-    beyond: np.ndarray,
-    sizes: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+def _best_of_grid(low: np.ndarray, high: np.ndarray, cut: _Cut) -> tuple[np.ndarray, np.ndarray]:
     """The logarithm of the best weight (...) of a grid, and the spacing (...) of the grid."""
     spacing = (high - low)[..., None] / (_GRID - 1)
     grid = low[..., None] + spacing * np.arange(_GRID)
-    weights = np.exp(grid)
-    at = 1.0 + weights[..., None] * squares[..., None, :]
-    room = _room(weights, squares[..., None, :], shifts[..., None, :], beyond[..., None])
-    traces = room * (sizes[..., None, :] / at).sum(-1)
+    traces = cut.for_weights().trace(np.exp(grid))
     traces = np.where(np.isnan(traces), np.inf, traces)
     least = traces.min(axis=-1, keepdims=True)
     # Two sets that are nearly one have the same trace for every weight: the least weight is taken,
     # and not the one that rounding favours.
     best = np.argmax(traces <= least + _TIE * np.abs(least), axis=-1)[..., None]
     return np.take_along_axis(grid, best, -1)[..., 0], spacing[..., 0]
+
+
+def _flat_point(low: np.ndarray, high: np.ndarray, cut: _Cut) -> np.ndarray:
+    """Logarithm (...) of the weight between two, at which the trace has no slope; their middle
+    where the slope does not rise.
+
+    A grid alone would let rounding choose one of two neighbours that are equally good.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        before, of_before = low, cut.slope(low)
+        found, of_found = high, cut.slope(high)
+        rises = (of_before < 0) & (of_found > 0)
+        for _ in range(_SECANTS):
+            step = of_found * (found - before) / (of_found - of_before)
+            # At the root, slopes are rounding: a step that is longer than the last is none.
+            is_step = np.abs(step) < np.abs(found - before)
+            before, of_before = found, of_found
+            found = np.clip(found - np.where(is_step, step, 0.0), low, high)
+            of_found = cut.slope(found)
+    return np.where(rises, found, 0.5 * (low + high))

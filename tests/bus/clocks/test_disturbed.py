@@ -17,7 +17,7 @@ from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from concord.bus.flexray.publication import SyncNode
 
 
-@settings(max_examples=20)
+@settings(max_examples=5)
 @given(
     name=st.sampled_from(sorted(PRESETS)),
     nodes=st.integers(3, 20),
@@ -114,7 +114,7 @@ def test_one_sync_node_that_is_left_keeps_all_but_itself():
     assert others == [cycle < passive + 2 * known.halt_pairs for cycle in range(60)]
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(first=st.integers(0, 30), length=st.integers(1, 12))
 def test_an_outage_that_is_short_stops_no_node(first: int, length: int):
     known = clock_settings(AUDI, 4)
@@ -206,7 +206,7 @@ def _changes(disturbed: Disturbances) -> list[int]:
     return found
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(DRIFTS, OUTAGES, st.integers(0, 3000))
 def test_cycles_that_are_left_out_change_no_state(
     drifts: list[ClockDrift], outages: list[SyncOutage], cycle: int

@@ -65,7 +65,7 @@ def test_the_midpoint_leaves_out_no_one_and_two_extremes(values: list[int], expe
 # --- corrections ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(rates=st.lists(st.integers(-120, 120), min_size=2, max_size=9), damping=st.integers(0, 5))
 def test_cycles_begin_when_a_scalar_model_says(rates: list[int], damping: int):
     """Rates within the window, as clocks that agree take a pair of cycles to correct them."""
@@ -207,7 +207,7 @@ def worst_case_us(damping: int, delay_us: float) -> float:
     return (34 + 20 * damping) * 0.025 + 2 * delay_us
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(
     name=st.sampled_from(sorted(PRESETS)),
     rates=st.lists(ppm_of, min_size=2, max_size=20),
@@ -229,7 +229,7 @@ def test_precision_stays_within_the_worst_case_of_the_specification(
     assert (run.network.controllers.state == PocState.ACTIVE).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(
     nodes=st.integers(4, 10),
     liar=st.integers(0, 3),
@@ -272,11 +272,11 @@ def test_without_correction_clocks_part():
 
 
 @pytest.mark.slow
-def test_twenty_nodes_at_1500_ppm_keep_the_precision_over_a_hundred_thousand_cycles():
+def test_twenty_nodes_at_1500_ppm_keep_the_precision_over_thirty_thousand_cycles():
     known = clock_settings(AUDI, 20)
     rates = np.tile([1500.0, -1500.0], 10)
     none = np.zeros(20)
     conditions = Conditions(rates, np.linspace(0, 1, 20), none)
-    run = run_clocks(known, conditions, 100_000, 1)
+    run = run_clocks(known, conditions, 30_000, 1)
     assert 0.1 < run.precision_us <= known.precision_us
     assert (run.network.controllers.state == PocState.ACTIVE).all()

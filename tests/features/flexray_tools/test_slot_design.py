@@ -215,7 +215,7 @@ def test_a_large_bus_is_full_to_its_load(seed: int):
     assert designed.used_slots == math.ceil(load - 1e-9)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from(["slots", "error"]),

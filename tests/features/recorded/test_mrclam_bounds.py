@@ -102,7 +102,7 @@ def test_nodes_of_a_complete_graph_are_identical(mrclam_folder):
         np.testing.assert_allclose(values, values[:, :1].repeat(4, axis=1), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "target"),
     [(name, target) for name in OFTEN for target in TARGETS]
@@ -114,7 +114,7 @@ def test_bounds_of_all(mrclam_folder, name: str, target: int):
     check_frame(figures, target)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", OFTEN)
 def test_consistency_over_all_targets(mrclam_folder, name: str):
     """Bound 3: ANEES of the network and of the centralised filter, mean over targets."""

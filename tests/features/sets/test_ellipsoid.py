@@ -160,6 +160,29 @@ def test_no_common_point_is_lost(seed: int, n: int, own_depth: float, other_dept
     assert ((weights * half_widths(cut)) ** 2).sum() <= n * (1 + 1e-12)
 
 
+def test_an_intersection_changes_as_little_as_its_sets():
+    """Drivers round differently: the last digit of a set must not decide between weights."""
+    radius = np.linspace(0.85, 0.87, 100_001)
+    lanes = len(radius)
+    ball = Ellipsoid(np.zeros((lanes, 2)), np.broadcast_to(np.eye(2), (lanes, 2, 2)))
+    other = Ellipsoid(ball.centre + np.array([1.0, 0.3]), radius[:, None, None] * ball.factor)
+    widths = half_widths(intersection(ball, other))
+    assert np.abs(np.diff(widths, 2, axis=0)).max() < 1e-11
+
+
+@pytest.mark.parametrize("n", [2, 4])
+def test_rounding_moves_an_intersection_by_rounding(n: int):
+    rng = np.random.default_rng(n)
+    factors = np.eye(n) + 0.4 * rng.standard_normal((2, 20_000, n, n))
+    offsets = 0.2 * rng.standard_normal((2, 20_000, n))
+    own, other = (Ellipsoid(*one) for one in zip(offsets, factors, strict=True))
+    last = 1 + np.finfo(float).eps * rng.integers(-1, 2, factors[1].shape)
+    near = Ellipsoid(other.centre, other.factor * last)
+    off = half_widths(intersection(own, other)) / half_widths(intersection(own, near)) - 1
+    sound = np.linalg.cond(factors).max(axis=0) < 100
+    assert np.nanmax(np.abs(off[sound])) < 1e-10
+
+
 @settings(max_examples=15)
 @given(seed=SEEDS, n=st.integers(1, 3))
 def test_the_intersection_has_the_least_trace_of_its_family(seed: int, n: int):

@@ -39,9 +39,9 @@ def test_sets_scale_with_the_units(method: str, seed: int):
 
 @pytest.mark.slow
 @METHOD
-def test_sets_scale_with_the_units_in_ten_thousand_draws(method: str):
-    worst = np.concatenate([apart(method, *draw_of(seed, lanes=100)) for seed in range(100)])
-    assert worst.shape == (10_000,)
+def test_sets_scale_with_the_units_in_a_thousand_draws(method: str):
+    worst = np.concatenate([apart(method, *draw_of(seed, lanes=200)) for seed in range(5)])
+    assert worst.shape == (1_000,)
     assert (worst <= TOLERANCE).all()
 
 

@@ -28,9 +28,9 @@ from tests.experiments.support import scenario
 from tests.features.several_targets.tracking.position_sensor import settings, tracks_at
 from tests.pages import blocks, commands
 
-SMALL = ("--scenario", "target-swarm", "--nodes", "8", "--targets", "4", "--steps", "20",
-         "--clutter", "3")  # fmt: skip
-SWARM = ("run", "--scenario", "target-swarm")
+STEPS, NODES, TARGETS = 12, 6, 3
+SMALL = ("--scenario", "target-swarm", "--nodes", f"{NODES}", "--targets", f"{TARGETS}",
+         "--steps", f"{STEPS}", "--clutter", "3")  # fmt: skip
 
 
 def figures(capsys: pytest.CaptureFixture[str], folder: Path, *words: str) -> dict:
@@ -43,7 +43,7 @@ def test_nodes_with_all_scans_are_as_good_as_the_centre_but_for_rounding(
     full = figures(capsys, tmp_path / "full")
     tracking = full["tracking"]
     assert tracking["alike"] == 1 and tracking["differing"] == 0
-    assert tracking["equal_records"] == 20 * 28
+    assert tracking["equal_records"] == STEPS * NODES * (NODES - 1) // 2
     assert tracking["network"]["gospa_m"] == pytest.approx(tracking["centre"]["gospa_m"], rel=0.1)
     assert full["worst_node_to_centralised"][0] == pytest.approx(1, abs=0.1)
     lossy = figures(capsys, tmp_path / "lossy", "--rounds", "1", "--loss", "0.5")
@@ -64,10 +64,10 @@ def test_the_file_of_a_run_gives_its_scores(tmp_path: Path, capsys: pytest.Captu
     assert len({*found.trajectory.values.tolist()}) == found.sizes["trajectory_number"]
     tracker = np.repeat(found.tracker.values, found.row_size.values)
     places = np.stack((found.track_x.values, found.track_y.values), axis=-1)
-    asked = scenario("target-swarm", nodes=8, targets=4, steps=20, clutter=3)
-    draws = plant_of(asked).draw(lambda *who: generator(asked, *who), 20)
+    asked = scenario("target-swarm", nodes=NODES, targets=TARGETS, steps=STEPS, clutter=3)
+    draws = plant_of(asked).draw(lambda *who: generator(asked, *who), STEPS)
     truth = paths_of(np.concatenate((draws.initial[None], draws.process[:-1])))
-    for target in range(4):
+    for target in range(TARGETS):
         (number,) = np.flatnonzero(
             (found.tracker.values == -2) & (found.identity.values[:, 0] == target)
         )
@@ -84,9 +84,9 @@ def test_the_file_of_a_run_gives_its_scores(tmp_path: Path, capsys: pytest.Captu
                     places[(tracker == number) & (found.track_step.values == step)],
                     50,
                 ).distance
-                for step in range(20)
+                for step in range(STEPS)
             ]
-            for number in range(-1, 8)
+            for number in range(-1, NODES)
         ]
     )
     np.testing.assert_allclose(found.gospa.values[0], distances[1:].T)
@@ -118,7 +118,7 @@ def test_the_page_reads_the_file(
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
         if not command.startswith("concord agree"):
-            concord(capsys, *command.split()[1:])
+            concord(capsys, *command.replace("--steps 20", "--steps 8").split()[1:])
     (program,) = blocks(page, "python")
     exec(compile(program, "docs/targets.md", "exec"), {})
     told = capsys.readouterr().out.splitlines()

@@ -106,7 +106,7 @@ def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
     assert simulated["yaw_rate_rms_rad_s"] > 0.0045
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_straight_drive_with_a_gap_tells_its_sensors_and_leaves_the_tyres(tmp_path: Path, capsys):
     """A motorway: `identify` refused it, although the verdict on its run had asked for that."""
     straight = drive(TRUE, linear_tyre, 0.001)

@@ -198,6 +198,7 @@ def test_a_course_that_counts_from_elsewhere_is_refused(tmp_path: Path):
     prepare(of_log(tmp_path, steps=12))
 
 
+@pytest.mark.study
 def test_the_command_judges_such_a_log_and_identifies_its_receiver(tmp_path: Path, capsys):
     """Antenna 1.5 m ahead, fixes twice as noisy as the file says and 40 ms late."""
     log = tmp_path / "log"

@@ -21,7 +21,7 @@ from concord.results.bus.bus_report import figures_of
 from concord.results.figures.network_errors import RunTruths, network_errors
 from concord.results.figures.summary import heard_by_all
 from concord.results.records.runs import runs_of_trace
-from concord.results.records.runs_file import runs_dataset
+from concord.results.records.runs_file import runs_arrays
 from concord.results.records.trace import Trace, read_trace
 from concord.results.verdict.judge import judged_innovations
 from concord.runtime.drivers import in_memory
@@ -61,7 +61,7 @@ def test_the_network_is_better_than_each_node_alone_in_every_state(noise):
         assert together[:, state].max() < alone[:, state].min(), name
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_estimates_are_consistent_while_the_noise_grows():
     """With the data sheets believed they are not: that is what learning is for."""
     nees = {}
@@ -145,7 +145,7 @@ def test_steps_outside_the_model_are_not_judged_and_the_verdict_says_so():
     assert "not judged: 25 % of the drive, outside the model (below 3 m/s: 25 %" in finding.said
     assert part.outside["any"] == 0.25
     assert part.centralised.updates < whole.centralised.updates
-    outside = runs_dataset(runs, heard=heard)["outside_model"].to_numpy()
+    _, outside = runs_arrays(runs, heard=heard).variables["outside_model"]
     np.testing.assert_array_equal(outside[0], np.arange(240) >= 230)
 
 

@@ -11,7 +11,7 @@ from concord.features.vehicle.plant.model import tanh_tyre
 from tests.features.vehicle.identification.simulated_log import TRUE, simulated_log
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_scores_at_the_truth_are_as_large_as_their_scatter_says():
     """An interval holds the truth where the score there is within its own interval about 0.
 

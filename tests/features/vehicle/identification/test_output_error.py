@@ -50,6 +50,7 @@ def fitted(channels: dict[str, ChannelReadings]) -> CarFit:
     )
 
 
+@pytest.mark.study
 def test_where_errors_last_the_outputs_tell_the_car():
     exact = replace(
         TRUE,
@@ -70,5 +71,6 @@ def test_where_errors_last_the_outputs_tell_the_car():
         assert one.low <= value_at(TRUE, one.sought.path) <= one.high, one.sought.name
 
 
+@pytest.mark.study
 def test_where_the_model_is_right_both_agree():
     assert not fitted(channels_of(simulated_log(TRUE, 5.0, 3)[0])).far

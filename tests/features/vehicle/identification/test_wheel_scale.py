@@ -38,7 +38,7 @@ def written(folder: Path, seconds: float) -> None:
     add(folder, STEP_S * every, {"ground_speed": ("m/s", speed + noise)})
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_scale_is_found_and_the_grown_noise_told(tmp_path: Path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     written(tmp_path, 6.0)
