@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser extras screenshots paper-tables demo test test-slow test-all studies check format bench bench-compare laboratory stories docs pictures lock clean
+.PHONY: browser extras peers screenshots paper-tables demo test test-slow test-all studies check format bench bench-compare laboratory stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --driver processes
@@ -44,6 +44,10 @@ studies: .venv/dev.stamp
 
 # The optional parts of concord, and the tools of its developers.
 extras: .venv/dev.stamp
+
+# Libraries on JAX beside which `make bench` times many filters: 1 GB, one of them a nightly build.
+peers: .venv/dev.stamp
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
 
 # Every test but the studies: `make test` first, then the slow ones.
 test-all: test test-slow
@@ -94,6 +98,9 @@ lock:
 		--no-emit-index-url --no-header --quiet --group dev \
 		--extra convex --extra dask --extra logs --extra secure --extra vehicle \
 		--output-file requirements-dev.lock
+	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-header --quiet --group peers --constraint requirements-dev.lock \
+		--output-file requirements-peers.lock
 
 clean:
 	rm -rf .venv build runs

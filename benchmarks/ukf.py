@@ -1,4 +1,5 @@
-"""UKF steps beside filterpy, Stone Soup and a loop in C: one filter, and ten thousand of them."""
+"""UKF steps beside filterpy, Stone Soup, a loop in C and libraries on JAX: one filter, and ten
+thousand of them."""
 
 import statistics
 import time
@@ -7,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.cases import BenchmarkCase, beliefs, readings, straight, turn
+from benchmarks.jax_peers import jax_loops
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
 from concord.filters.gaussian import Gaussian
@@ -57,6 +59,7 @@ def main() -> BenchmarkFigures:
         }
         if (in_c := c_loop(case)) is not None:
             contestants["C loop"] = in_c
+        contestants |= jax_loops(case, LANES, MANY_STEPS)
         given = in_turns(contestants, TURNS)
         say(
             f"UKF, case {case.name}, n = {len(case.start.mean)}, m = 2; {LANES} lanes, "

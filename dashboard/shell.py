@@ -111,8 +111,8 @@ const marksOf=box=>[...new Map([...box.querySelectorAll('[data-node]')].reverse(
 const choose=(box,name,mark)=>{
   box.dataset.chosen=name;
   const at=`.concord-marks:focus [data-node="${name}"]`;
-  marked.textContent=`tr:is(${at}){outline:2px solid #d55e00;outline-offset:-2px}`+
-    `${at}>rect,rect:is(${at}){stroke:#d55e00;stroke-width:3}`;
+  marked.textContent=`:is(tr,td):is(${at}){outline:2px solid #d55e00;outline-offset:-2px}`+
+    `${at}>:is(rect,text),:is(rect,circle):is(${at}){stroke:#d55e00;stroke-width:3}`;
   spoken.textContent=mark.querySelector('title')?.textContent??mark.innerText.replace(/\\s+/g,' ');
   if(mark.matches('tr'))mark.scrollIntoView({block:'nearest'})};
 const turns={ArrowRight:1,ArrowDown:1,ArrowLeft:-1,ArrowUp:-1,Home:-1e9,End:1e9};

@@ -46,8 +46,9 @@ def cell_table(swept: SweptCells, choices: Choices) -> str:
     more = f"{left} more cells have larger values; choose fewer at the left" if left > 0 else ""
     return (
         f'<div style="font-size:11.5px;padding:4px 8px;color:{css(theme.text)}">'
-        '<table data-testid="cell-table" style="width:100%;text-align:right;border-collapse:'
-        'collapse;font-variant-numeric:tabular-nums">'
+        '<table data-testid="cell-table" data-marks="table of cells" style="width:100%;'
+        'text-align:right;border-collapse:collapse;font-variant-numeric:tabular-nums" '
+        'cellpadding="3">'
         f'<tr style="color:{quiet}"><th></th>{heads}<th>run</th></tr>{"".join(rows)}</table>'
         f'<div style="color:{quiet}">{more}</div></div>'
     )
@@ -90,7 +91,8 @@ def runs_panel(swept: SweptCells, choices: Choices) -> str:
     return _said(
         choices,
         f"{head}<br>RMSE of its {known.sum()} runs, line: median; press a run to open its page"
-        f'<svg data-testid="runs" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" width="100%">'
+        '<svg data-testid="runs" data-marks="runs of the cell" width="100%" '
+        f'viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}">'
         f'<path d="M{_LEFT:g} 56H{_WIDTH - _LEFT:g}M{at:.1f} 6V56" stroke="{quiet}"/>'
         f"{words}{''.join(dots)}</svg>",
     )

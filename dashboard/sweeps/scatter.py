@@ -17,7 +17,7 @@ from concord.dashboard.sweeps.swept import (
 )
 from concord.dashboard.theme import Theme, css
 
-_WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP, _RIGHT = 900.0, 560.0, 66.0, 52.0, 26.0, 22.0
+_LEFT, _BOTTOM, _TOP, _RIGHT = 66.0, 52.0, 26.0, 22.0
 # An axis is logarithmic where its largest value is so many times its least.
 _WIDE = 20.0
 
@@ -36,8 +36,9 @@ def scatter(swept: SweptCells, choices: Choices) -> str:
     """Return the picture; cells outside of the limits are faint, and cannot be pressed."""
     theme, shown = choices.theme, shown_cells(swept, choices)
     across, up = (_axis(swept, name, shown) for name in (choices.across, choices.up))
-    x = _LEFT + (_WIDTH - _LEFT - _RIGHT) * across.place(across.values)
-    y = _HEIGHT - _BOTTOM - (_HEIGHT - _BOTTOM - _TOP) * up.place(up.values)
+    right, bottom = choices.width - _RIGHT, choices.height - _BOTTOM
+    x = _LEFT + (right - _LEFT) * across.place(across.values)
+    y = bottom - (bottom - _TOP) * up.place(up.values)
     look = looks(swept, choices)
     marks = []
     # The hovered and the selected cell lie above the others.
@@ -67,9 +68,10 @@ def scatter(swept: SweptCells, choices: Choices) -> str:
             f'dominant-baseline="central" fill="{css(colour)}">{glyph}</text></g>'
         )
     return (
-        f'<svg data-testid="cells" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" width="100%" '
+        f'<svg data-testid="cells" data-marks="cells" width="100%" '
+        f'viewBox="0 0 {choices.width:g} {choices.height:g}" '
         f'style="display:block;max-height:calc(100vh - 120px)" font-family="sans-serif">'
-        f"{_frame(theme, across, up)}{''.join(marks)}</svg>{_legend(swept, choices)}"
+        f"{_frame(theme, across, up, right, bottom)}{''.join(marks)}</svg>{_legend(swept, choices)}"
     )
 
 
@@ -133,9 +135,8 @@ def _bars(x: np.ndarray, y: np.ndarray, colour: str) -> str:
     return f'<path d="{"".join(paths)}" stroke="{colour}" stroke-width="1.5"/>'
 
 
-def _frame(theme: Theme, across: _Axis, up: _Axis) -> str:
-    """Return grid, numbers, names and reference lines of both axes."""
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+def _frame(theme: Theme, across: _Axis, up: _Axis, right: float, bottom: float) -> str:
+    """Return grid, numbers, names and reference lines of both axes, which end at these edges."""
     grid, words = [], []
     for value, text in across.ticks:
         x = _LEFT + (right - _LEFT) * float(across.place(np.array(value)))
@@ -152,9 +153,7 @@ def _frame(theme: Theme, across: _Axis, up: _Axis) -> str:
     if up.reference is not None:
         y = bottom - (bottom - _TOP) * float(up.place(np.array(up.reference)))
         special.append(f"M{_LEFT:g} {y:.1f}H{right:g}")
-    words.append(
-        _word(theme, (_LEFT + right) / 2, _HEIGHT - 10, "middle", across.name, strong=True)
-    )
+    words.append(_word(theme, (_LEFT + right) / 2, bottom + 42, "middle", across.name, strong=True))
     words.append(_word(theme, 6, 16, "start", up.name, strong=True))
     return (
         f'<path d="{"".join(grid)}" stroke="{css(theme.faint)}"/><path d="{"".join(special)}" '

@@ -28,6 +28,13 @@ Raises:
     ValueError: the run cannot be computed or kept.
 """
 _NONE = "none"
+# Pixels of a window's height that the picture leaves to its tab and its legend.
+_BESIDE = 110
+# There is no scene, so that a phone has the whole window for the column of the panels.
+_TALL = (
+    "<style>@media(max-width:36em){.mantine-Paper-root:has(.concord-told)"
+    "{max-height:100%!important;height:100%}}</style>"
+)
 # The address holds the host that this process knows, and the browser may know another.
 _GO = (
     '<img src="data:," alt="" onerror="const to=new window.URL(\'%s\');'
@@ -99,6 +106,12 @@ class SweepPage:
 
             dark.on_update(at_once(repaint))
 
+        def turn(client: Any) -> None:
+            dark.value = not dark.value
+            repaint(client)
+
+        self._window.bind("Dark or light", "D", turn)
+
     def _bind(self, widget: Any, name: str) -> None:
         def take(_: Any) -> None:
             setattr(self.choices, name, widget.value)
@@ -114,8 +127,12 @@ class SweepPage:
         """Fit the panels into a client's window of that size in pixels."""
         if width >= PHONE_WIDTH:
             columns = dock_columns(client, width, self._right, self._lower)
-            left = width - columns.left - columns.right
-            place_of(client, self._picture).float(x=8, y=8, width=left - 24, height=height - 16)
+            across = width - columns.left - columns.right - 24
+            place_of(client, self._picture).float(x=8, y=8, width=across, height=height - 16)
+            self.choices.width, self.choices.height = across, max(height - _BESIDE, 300)
+        else:
+            place_of(client, self._picture).expand()
+            self.choices.width, self.choices.height = width, 0.8 * width
         self._changed.set()
 
     def _select(self, cell: int | None) -> None:
@@ -173,9 +190,11 @@ class SweepPage:
         )  # fmt: skip
         drawn = [attempt(name, lambda draw=draw: draw(swept, choices)) for _, name, draw in parts]
         told = "<br>".join(escape(one) for one in (self._progress, *self._failures.sentences()))
+        title = escape(swept.title)
         status = (
+            f'{_TALL}<i class="concord-told" data-title="{title}" hidden></i>'
             f'<div style="padding:8px 10px;font-size:13px;color:{css(theme.text)}"><b>'
-            f'{escape(swept.title)}</b><div data-testid="progress" style="color:'
+            f'{title}</b><div data-testid="progress" style="color:'
             f'{css(theme.sending)}">{told}</div></div>'
         )
         with self.server.atomic():

@@ -69,7 +69,8 @@ class SweptCells(NamedTuple):
 
 @dataclass
 class Choices:
-    """Choices of the viewers of a page; `limits` has the values of a field that are shown."""
+    """Choices of the viewers of a page; `limits` has the values of a field that are shown; `width`
+    and `height` are those of the picture in pixels."""
 
     theme: Theme
     across: str
@@ -77,6 +78,8 @@ class Choices:
     colour: str
     selected: int | None = None
     hovered: int | None = None
+    width: float = 900.0
+    height: float = 560.0
     limits: dict[str, tuple[FieldValue, ...]] = field(default_factory=dict)
 
 

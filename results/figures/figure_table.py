@@ -63,6 +63,14 @@ def _within(view: "RunView") -> np.ndarray:
     return np.where(np.isnan(nees), np.nan, nees <= most)
 
 
+def _nis(view: "RunView") -> np.ndarray:
+    """The mean over readings; above 1 they lie further from predictions than filters believe."""
+    found = view.runs.innovations
+    if found is None:
+        return np.full(len(view.readings), np.nan)
+    return view.mean(found.nis / np.where(found.entries > 0, found.entries, np.nan), (1, 2, 3))
+
+
 _TRAFFIC_OF_NODES = {
     "sent": "frames that a node sent",
     "heard": "frames that it could use",
@@ -172,6 +180,10 @@ FIGURES: dict[str, Figure] = {
     "anees_centralised": Figure(
         _RUN, "1", "the same of one filter that hears everything",
         lambda view: view.mean(view.errors.nees_centre, (1,)),
+    ),
+    "nis": Figure(
+        _RUN, "1", "normalised squared innovation per entry of the nodes' own readings; NaN where "
+        "runs kept none", _nis,
     ),
     "coverage": Figure(
         _RUN, "1", "share of the estimates whose 95 % ellipsoid holds the truth",

@@ -13,11 +13,18 @@ from concord.results.figures.run_frame import frame_of
 from concord.results.figures.run_view import RunView
 from concord.results.folder import commit, versions
 from concord.runtime.batched.build import without_array_form
+from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.user.faults import user_faults
 from concord.studies.monte_carlo.moments import apart, merged, reduced
-from concord.studies.monte_carlo.simulate import runs_together, simulate
+from concord.studies.monte_carlo.simulate import (
+    AGES,
+    INNOVATIONS,
+    READINGS,
+    runs_together,
+    simulate,
+)
 from concord.studies.sweep.specification import Cell, Specification
 
 # Estimates of a piece that are in memory at once: nodes x runs x steps. The filter that hears
@@ -111,7 +118,10 @@ def compute(piece: Piece) -> dict[str, np.ndarray]:
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     if piece.exact and (figures := _exactly(piece)) is not None:
         return reduced(figures, REDUCED[piece.keep]) if REDUCED[piece.keep] else figures
-    runs = simulate(setup, range(piece.first, piece.last))
+    # A log may have no truth; what its readings say of the filters is then the only judgement.
+    of_log = definition_of(setup.scenario).all_steps is not None
+    keep = (READINGS, AGES, *((INNOVATIONS,) if of_log else ()))
+    runs = simulate(setup, range(piece.first, piece.last), keep=keep)
     frame = frame_of(runs)
     parts, names = CellParts(piece.first), REDUCED[piece.keep]
     at_once = runs_at_once(setup.scenario)

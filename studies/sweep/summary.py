@@ -123,6 +123,7 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
         "x central": lambda cell: _with_half(cell["to_centralised"]),
         "x best": lambda cell: "best" if _is_best(cell) else _with_half(cell["to_best"]),
         "ANEES": lambda cell: _with_half(cell["anees"]),
+        **({"NIS": lambda cell: _with_half(cell["nis"])} if blind else {}),
         "B/step": lambda cell: _number(cell["bytes_per_step"].value),
         "load %": lambda cell: _number(100 * cell["bus_load"].value),
         "disagree": lambda cell: _number(cell["disagreement"].value),

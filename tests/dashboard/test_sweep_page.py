@@ -28,6 +28,7 @@ from tests.dashboard.browser_page import press_on
 from tests.dashboard.browser_tab import new_tab
 from tests.processes import CONCORD
 
+TABLE = '[data-testid="cell-table"]'
 SWEEP = shlex.split(
     "sweep --scenario oscillator --nodes 4 --steps 25 --graph ring,path --rule ci,wac "
     "--occupancy 0.5,1 --schedule hybrid --runs 6 --workers 1"
@@ -178,7 +179,7 @@ def test_cells_are_pressed_and_their_runs_open(chromium, result: Result):
     page.on("pageerror", lambda error: errors.append(str(error)))
     try:
         page.goto(f"{shown.url}&fixedDpr=0.5")
-        row = '[data-testid="cell-table"] tr[data-node="3"]'
+        row = f'{TABLE} tr[data-node="3"]'
         # A press in the table marks the cell in the picture, and shows its runs.
         presses(page, shown, row, lambda: shown.choices.selected == 3)
         waits(page, shown, lambda: page.locator('[data-testid="runs"] circle').count() == 6)
@@ -195,6 +196,50 @@ def test_cells_are_pressed_and_their_runs_open(chromium, result: Result):
         folder = result.path.with_name("sweep.nc.runs") / f"cell-{chosen}-run-4"
         assert (folder / RECORDING).is_file()
         assert errors == []
+    finally:
+        page.close()
+        shown.close()
+
+
+def test_keys_choose_cells_and_the_picture_fills_its_panel(chromium, result: Result):
+    shown = SweepPage(result.swept, result.pages.open, "127.0.0.1", 0, DARK, UP)
+    page = new_tab(chromium, 1280, 720)
+    try:
+        page.goto(f"{shown.url}&fixedDpr=0.5")
+        waits(page, shown, lambda: page.title() == result.swept.title)
+        cells = page.locator('[data-testid="cells"]')
+        waits(page, shown, lambda: cells.count() == 1 and cells.bounding_box()["height"] > 550)
+        page.keyboard.press("d")
+        waits(page, shown, lambda: not shown.choices.theme.dark)
+        box = page.locator('.concord-marks[aria-label^="table of cells"]')
+        waits(page, shown, lambda: box.count() == 1)
+        box.focus()
+        rows = [
+            int(str(row.get_attribute("data-node")))
+            for row in page.locator(f"{TABLE} tr[data-node]").all()
+        ]
+        # A row and its button are two stops.
+        for key in ("ArrowDown", "ArrowDown", "ArrowDown", "Enter"):
+            page.keyboard.press(key)
+        waits(page, shown, lambda: shown.choices.selected == rows[1])
+    finally:
+        page.close()
+        shown.close()
+
+
+def test_a_phone_shows_the_picture_without_a_press(chromium, result: Result):
+    shown = SweepPage(result.swept, result.pages.open, "127.0.0.1", 0, DARK, UP)
+    page = new_tab(chromium, 390, 844)
+    try:
+        page.goto(f"{shown.url}&fixedDpr=0.5")
+        cells = page.locator('[data-testid="cells"]')
+
+        def is_whole() -> bool:
+            box = cells.bounding_box() if cells.count() else None
+            return box is not None and box["y"] + box["height"] < 844
+
+        waits(page, shown, is_whole)
+        assert shown.choices.width == 390
     finally:
         page.close()
         shown.close()

@@ -111,7 +111,28 @@ def test_a_sweep_without_a_truth_shows_how_far_rules_are_from_the_best_filter(na
     first = next(place for place, line in enumerate(lines) if "B/step" in line)
     heading, *rows = lines[first:]
     assert "from central" in heading and "RMSE" not in heading and "ANEES" not in heading
+    assert "NIS" in heading
     assert not any(" - " in row for row in rows), said.out
+
+
+@pytest.mark.parametrize("rule", ["local", "ci"])
+def test_a_sweep_has_the_innovations_of_a_log_without_a_truth(name: str, capsys, rule: str):
+    """NIS of `local` is that of a scalar Kalman filter, written here; fused nodes predict better."""
+    asked = ("--data", "mapped", "--rule", rule, "--runs", 1)
+    said = concord(capsys, "sweep", "--scenario", name, *asked, "-o", "swept.nc", "--json")
+    (nis, *_) = said.json()["cells"][0]["nis"]
+    first, squares = definition_of(scenario_of(name)).score.first_step, []
+    for reads in np.loadtxt("log.csv", delimiter=",", skiprows=1).T[2:]:
+        mean, variance = 0.0, 1.0
+        for step, reading in enumerate(reads):
+            variance += 0.01 * (step > 0)
+            spread, miss = variance + 0.04, reading - mean
+            if step >= first:
+                squares.append(miss**2 / spread)
+            mean, variance = mean + variance / spread * miss, variance * 0.04 / spread
+    expected = np.mean(squares)
+    assert (nis == pytest.approx(expected, rel=1e-6)) == (rule == "local"), (nis, expected, first)
+    assert 0.5 < nis < 2
 
 
 @pytest.mark.parametrize(

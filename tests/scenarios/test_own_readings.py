@@ -1,5 +1,6 @@
 """Own plants with the readings of a log: one log in every form, and what a log does not hold."""
 
+import runpy
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from concord.scenarios.preparation import prepare
 from concord.studies.monte_carlo.simulate import AGES, INNOVATIONS, READINGS, simulate
 from tests.test_batched_agreement import check_agreement
 
+ROOT = Path(__file__).resolve().parent.parent.parent
 STEP_S = 0.1
 MOVE = np.array([[1.0, STEP_S], [0.0, 0.98]])
 CART = OwnPlant(
@@ -92,7 +94,54 @@ def as_netcdf(folder: Path) -> Path:
     return folder / "log.nc"
 
 
-@pytest.mark.parametrize("form", [lambda _: dataset(), as_csv, as_folder, as_netcdf])
+SERIES = {
+    "gps": READ[:, 0, 0, 0], "wheel": READ[:, 1, 0, 0], "place": TRUTH[:, 0], "speed": TRUTH[:, 1],
+}  # fmt: skip
+
+
+def mapped(folder: Path, file: str, column: str) -> Path:
+    """Write the map of columns that are named after the series."""
+    gps, wheel, place, speed = (column.format(name) for name in SERIES)
+    (folder / "columns.toml").write_text(
+        f'file = "{file}"\n[channels]\n"gps x" = {{ column = "{gps}", unit = "m" }}\n'
+        f'"wheel v" = {{ column = "{wheel}", unit = "m/s" }}\n'
+        f'[truth]\nplace = {{ column = "{place}", unit = "m" }}\n'
+        f'speed = {{ column = "{speed}", unit = "m/s" }}\n'
+    )
+    return folder
+
+
+def as_mcap(folder: Path) -> Path:
+    """A topic of std_msgs/Float64 for each series; a reading that was not taken has no message."""
+    Writer = pytest.importorskip("mcap_ros2.writer").Writer
+    with (folder / "log.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        number = writer.register_msgdef("std_msgs/msg/Float64", "float64 data")
+        for name, values in SERIES.items():
+            for time_s, value in zip(TIMES_S, values, strict=True):
+                if np.isfinite(value):
+                    stamp_ns = round(1e9 * time_s)
+                    writer.write_message(f"/{name}", number, {"data": float(value)}, stamp_ns)
+        writer.finish()
+    return mapped(folder, "log.mcap", "/{}.data")
+
+
+def as_ulog(folder: Path) -> Path:
+    """A message for each series, stamped in microseconds."""
+    pytest.importorskip("pyulog")
+    write_ulog = runpy.run_path(str(ROOT / "examples" / "own_log.py"))["write_ulog"]
+    known = {name: np.isfinite(values) for name, values in SERIES.items()}
+    write_ulog(
+        folder,
+        {name: (TIMES_S[known[name]], SERIES[name][known[name]][:, None]) for name in SERIES},
+    )
+    return mapped(folder, "drive.ulg", "{}.value[0]")
+
+
+FORMS = [lambda _: dataset(), as_csv, as_folder, as_netcdf, as_mcap, as_ulog]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_a_log_gives_the_figures_of_the_run_that_it_was_written_from(form, tmp_path: Path):
     asked = own_scenario(CART, SENSORS, readings=form(tmp_path)).with_(**OPTIONS)
     assert asked.steps == len(TRUTH)
