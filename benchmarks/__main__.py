@@ -8,9 +8,8 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.compare import Kept
-from benchmarks.measure import BenchmarkFigures, machine, peak_mb, say
+from benchmarks.measure import BenchmarkFigures, machine, peak_mb, say, table
 from benchmarks.picture import draw
-from benchmarks.table import table
 
 # Modules with a `main() -> Figures`; loaded when they are run, as some need much.
 BENCHMARKS = {

@@ -2,7 +2,8 @@
 
 Each series is a state that drifts by itself, read by a node of its own. The noise follows from the
 differences of readings. Of a random walk with increments of variance Q, read with variance R, those
-of readings m apart have the mean square m Q + 2 R.
+of readings m apart have the mean square m Q + 2 R. A smooth motion has none but first differences;
+of second and third ones white noise then has the mean squares 6 R and 20 R.
 """
 
 import json
@@ -27,7 +28,7 @@ from concord.plants.recorded.log_files import open_log
 
 _MOST_SERIES = 12
 _MOST_REASONS = 4
-_APART = 10
+_LEAST, _APART = 4, 10
 _TIMES = {
     **dict.fromkeys(("time", "t", "timestamp", "stamp"), None),
     **{f"{name}_{unit}": unit for name in ("time", "t") for unit in ("s", "ms", "us", "ns")},
@@ -156,8 +157,8 @@ def _series(
         sys.stderr.write(f"{column}: {values} is taken for none (not_available)\n")
     known = {"value": Column(column=column, not_available=absent)}
     channel = read_channels(log.parent, known, default, {log.parent / log.name: file})["value"]
-    if len(channel.values) < 3:
-        raise ValueError(f"it has {len(channel.values)} readings")
+    if len(channel.values) < _LEAST:
+        raise ValueError(f"it has {len(channel.values)} of the {_LEAST} readings that it needs")
     changes = np.abs(np.diff(channel.values))
     if not changes.any():
         raise ValueError(f"all its readings are {channel.values[0]:g}")
@@ -165,10 +166,7 @@ def _series(
     smallest = float(changes[changes > 0].min(initial=np.inf))
     size = max(float(np.abs(channel.values).max()), 1e-6)
     least = (smallest / 4 if np.isfinite(smallest) else 1e-6 * size) ** 2
-    apart = min(_APART, len(channel.values) - 1)
-    near, far = (_squared_change(channel.values, count) for count in (1, apart))
-    drift = max((far - near) / max(apart - 1, 1), least)
-    noise = max((near - drift) / 2, least)
+    drift, noise = (max(variance, least) for variance in _variances(channel.values))
     return _Series(
         _name_of(column, taken),
         column,
@@ -182,8 +180,17 @@ def _series(
     )
 
 
-def _squared_change(values: np.ndarray, apart: int) -> float:
-    return float(np.mean((values[apart:] - values[:-apart]) ** 2))
+def _variances(values: np.ndarray) -> tuple[float, float]:
+    """Return the variances of drift from one reading to the next, and of noise."""
+    apart = min(_APART, len(values) - 1)
+    near, second, third = (float(np.mean(np.diff(values, n=n) ** 2)) for n in (1, 2, 3))
+    far = float(np.mean((values[apart:] - values[:-apart]) ** 2))
+    # Of a walk this is 2 R too, but with a larger error.
+    of_smooth = (third - 3 * second) / 2
+    of_walk = (far - near) / (apart - 1)
+    if (near - of_walk) / 2 < of_smooth / 2:
+        return near - 2 * of_smooth, of_smooth
+    return of_walk, (near - of_walk) / 2
 
 
 def _name_of(column: str, taken: list[str]) -> str:

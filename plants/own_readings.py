@@ -80,7 +80,10 @@ class OwnReplay(OfOwnPlant):
 
 
 def replayed(
-    plant: OwnPlant, nodes: Sequence[NodeSensors | None], source: str | Path | Any
+    plant: OwnPlant,
+    nodes: Sequence[NodeSensors | None],
+    source: str | Path | Any,
+    usual: str | Path | Any = None,
 ) -> OwnReplay:
     """Return the plant that delivers the readings of a log.
 
@@ -91,6 +94,8 @@ def replayed(
         plant: that the filters believe in.
         nodes: sensors of each node; each channel has a name of its own.
         source: a file, a folder with `columns.toml`, or an `xarray.Dataset`.
+        usual: the log that the scenario names itself; where it is such a folder, its columns are
+            sought in a file that has no series of these names.
 
     Raises:
         ValueError: naming file, series and cure, for what is missing or cannot be read.
@@ -99,12 +104,14 @@ def replayed(
     truths = {f"{_TRUTH}{name}": unit for name, unit in zip(plant.names, plant.units, strict=True)}
     units = {name: unit for name, unit in channels.values()} | truths
     found = _read(source, units)
+    if not found.keys() - truths.keys() and (like := _map_beside(source, usual, units)) is not None:
+        found = read_channels(Path(source).parent, like.columns, like)
     read = {name: one for name, one in found.items() if name not in truths and len(one.values)}
     if not read:
         said = source if isinstance(source, str | Path) else f"of type {type(source).__name__}"
         raise ValueError(
             f"readings {said}: none of {', '.join(name for name, _ in channels.values())} is "
-            f"there; name series so, or map them in {COLUMNS}"
+            f"there{_there(source)}; name series so, or map them in {COLUMNS}"
         )
     grid = grid_over(read, plant.time_step_s)
     placed = {
@@ -150,8 +157,26 @@ def _within(channel: ChannelReadings, instants_s: np.ndarray) -> ChannelReadings
     return ChannelReadings(channel.stamps_s[inside], channel.values[inside])
 
 
-def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
-    """Read the channels and true states that have these units, "" for any."""
+def _there(source: Any) -> str:
+    """The series of a file, in words."""
+    if not isinstance(source, str | Path) or Path(source).is_dir():
+        return ""
+    return f" (there are {', '.join(open_log(Path(source)).names)})"
+
+
+def _map_beside(source: Any, usual: Any, units: Mapping[str, str]) -> LogMap | None:
+    """The columns of the scenario's own folder for another file; None where they are of several
+    files, or not there."""
+    folders = isinstance(source, str | Path) and isinstance(usual, str | Path)
+    if not folders or Path(source).is_dir() or not (Path(usual) / COLUMNS).is_file():
+        return None
+    own = _map_of(Path(usual), _map_kind(units), units)
+    of_files = any(column.file is not None for column in own.columns.values())
+    return None if of_files else msgspec.structs.replace(own, file=Path(source).name)
+
+
+def _map_kind(units: Mapping[str, str]) -> type[LogMap]:
+    """The map of columns of channels and true states that have these units, "" for any."""
 
     class OwnLogMap(LogMap, frozen=True, kw_only=True, forbid_unknown_fields=True):
         si_units: ClassVar[Mapping[str, str]] = units
@@ -163,18 +188,13 @@ def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
             """The columns by channel and state."""
             return self.channels | {f"{_TRUTH}{name}": one for name, one in self.truth.items()}
 
-    if not isinstance(source, str | Path) and not hasattr(source, "data_vars"):
-        raise ValueError(
-            f"readings of type {type(source).__name__}: must be a path, or an xarray.Dataset"
-        )
-    if not isinstance(source, str | Path):
-        return _read_file(DatasetFile(source), Path("readings"), units, OwnLogMap)
-    path = Path(source)
-    if not path.is_dir():
-        return _read_file(open_log(path), path, units, OwnLogMap)
-    columns_file = path / COLUMNS
+    return OwnLogMap
+
+
+def _map_of(folder: Path, kind: type[LogMap], units: Mapping[str, str]) -> LogMap:
+    columns_file = folder / COLUMNS
     try:
-        own = map_from_toml(text_of(columns_file), OwnLogMap)
+        own = map_from_toml(text_of(columns_file), kind)
     except ValueError as error:
         raise ValueError(f"{columns_file}: {error}") from None
     if strange := own.columns.keys() - units.keys():
@@ -182,12 +202,25 @@ def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
             f"{columns_file}: no sensor or state has {', '.join(sorted(strange))}; there are "
             f"{', '.join(units)}"
         )
+    return own
+
+
+def _read(source: Any, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
+    """Read the channels and true states that have these units, "" for any."""
+    if not isinstance(source, str | Path) and not hasattr(source, "data_vars"):
+        raise ValueError(
+            f"readings of type {type(source).__name__}: must be a path, or an xarray.Dataset"
+        )
+    if not isinstance(source, str | Path):
+        return _read_file(DatasetFile(source), Path("readings"), units)
+    path = Path(source)
+    if not path.is_dir():
+        return _read_file(open_log(path), path, units)
+    own = _map_of(path, _map_kind(units), units)
     return read_channels(path, own.columns, own)
 
 
-def _read_file(
-    file: LogFile, path: Path, units: Mapping[str, str], kind: type[LogMap]
-) -> dict[str, ChannelReadings]:
+def _read_file(file: LogFile, path: Path, units: Mapping[str, str]) -> dict[str, ChannelReadings]:
     """Read the series of a file that have the names of channels and states."""
     spelled = {_plain(name): name for name in file.names}
     asked = {name: _plain(name.removeprefix(_TRUTH)) for name in units}
@@ -197,7 +230,8 @@ def _read_file(
         if plain in spelled
     }
     time = Stamps(spelled[_TIME], file.unit(spelled[_TIME]) or "s") if _TIME in spelled else None
-    return read_channels(path.parent, columns, kind(file=path.name, time=time), {path: file})
+    default = _map_kind(units)(file=path.name, time=time)
+    return read_channels(path.parent, columns, default, {path: file})
 
 
 def _plain(name: str) -> str:

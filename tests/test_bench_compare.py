@@ -4,9 +4,8 @@ import msgspec
 import pytest
 
 from benchmarks import compare
-from benchmarks.measure import BenchmarkFigure, Better, figure, in_turns, ratio
+from benchmarks.measure import BenchmarkFigure, Better, figure, in_turns, ratio, table
 from benchmarks.picture import draw
-from benchmarks.table import table
 
 
 def kept(value: float, spread: float, better: Better = "less") -> compare.Kept:

@@ -81,6 +81,7 @@ def test_perfect_knowledge_of_neighbours_leaves_most_of_the_error(
     assert lossless < _error(LOSSY) < usual
 
 
+@pytest.mark.study
 def test_more_and_shorter_shares_err_less_in_less_of_the_bus() -> None:
     usual, short = _figures(LOSSY), _figures({**LOSSY, **SHORT})
     brief, long = short.figures, usual.figures

@@ -96,6 +96,8 @@ def _lines(result: Identification, out: Path | None) -> Iterator[str]:
     untold = [one.name for one in result.found if not one.told]
     if untold:
         yield f"The log does not tell {', '.join(untold)}; left as before."
+    if result.left:
+        yield f"Not sought, though declared: {', '.join(result.left)}; --seek takes them."
     if any(one.name.startswith(("R.", "Q.")) for one in result.found):
         yield "R and Q are factors of the standard deviations that the scenario has."
     yield f"before: {_words(result.before)}"

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.plants.recorded.log_file import say
+
 GAP_SPACINGS = 5.0
 """Median spacings of a channel; a longer interval between two readings is a gap."""
 STRAY_S, STRAY_SPACINGS = 3600.0, 1000.0
@@ -88,10 +90,13 @@ def channel_of(
         usual_s = float(np.percentile(spacings_s, 50, method="lower"))
         far = int(np.argmax(spacings_s))
         if spacings_s[far] > max(STRAY_S, STRAY_SPACINGS * usual_s):
+            # Where fewer readings lie on one side, they are the stray ones.
+            stray, near = (far, far + 1) if far + 1 < len(rows) / 2 else (far + 1, far)
+            side = "before" if stray < near else "after"
             raise ValueError(
-                f"{place(int(rows[far + 1]))} has the time {stamps_s[rows[far + 1]]:.15g} s, "
-                f"{spacings_s[far]:.6g} s after the one before ({place(int(rows[far]))}); remove "
-                "the stray stamp, or cut the log there and read one part"
+                f"{place(int(rows[stray]))} has the time {stamps_s[rows[stray]]:.15g} s, "
+                f"{spacings_s[far]:.6g} s {side} the nearest in time ({place(int(rows[near]))}); "
+                "remove the stray stamp, or cut the log there and read one part"
             )
     return ChannelReadings(stamps_s[rows], values[rows])
 
@@ -118,9 +123,10 @@ def grid_over(
     One of them is the first reading of the channel `through`, or of all channels.
 
     Raises:
-        ValueError: more than `MOST_STEPS` instants.
+        ValueError: more than `MOST_STEPS` instants, or channels that never read at one time.
     """
     read = {name: one.stamps_s for name, one in channels.items() if len(one.values)}
+    _require_one_clock({name: one for name, one in channels.items() if len(one.values)})
     start_s, end_s = min(one[0] for one in read.values()), max(one[-1] for one in read.values())
     if through in read:
         at_s = read[through][0]
@@ -135,6 +141,32 @@ def grid_over(
     return SamplingInstants(
         float(start_s), time_step_s, _nearest(end_s - start_s, time_step_s).item() + 1
     )
+
+
+def _require_one_clock(read: Mapping[str, ChannelReadings]) -> None:
+    """Say where some channels have ended before the others begin; refuse it where hours lie
+    between.
+
+    Raises:
+        ValueError: naming the first channel after such a time.
+    """
+    in_order = sorted(read, key=lambda name: read[name].stamps_s[0])
+    until = in_order[0]
+    for name in in_order[1:]:
+        begins_s, ended_s = read[name].stamps_s[0], read[until].stamps_s[-1]
+        gap_s = begins_s - ended_s
+        usual_s = max((one.spacing_s for one in read.values() if len(one.values) > 1), default=0.0)
+        apart = (
+            f"{name} begins at {begins_s:.15g} s, {gap_s:.6g} s after {until} and all that begins "
+            "before it have ended"
+        )
+        cure = "give one of them an offset of its time in the column map"
+        if gap_s > max(STRAY_S, STRAY_SPACINGS * usual_s):
+            raise ValueError(f"{apart}: their clocks differ; {cure}, or read one part of the log")
+        if gap_s > GAP_SPACINGS * usual_s:
+            say(f"{apart}; if their clocks differ, {cure}")
+        if read[name].stamps_s[-1] > ended_s:
+            until = name
 
 
 def lateness_s(channel: ChannelReadings, grid: SamplingInstants) -> float:

@@ -107,6 +107,7 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
     times = {f"time of {name}": column.time for name, column in columns.columns.items()}
     for quantity, series in {"time": columns.time, **times, **columns.columns}.items():
         if kind.si_units.get(quantity) == "":
+            _refuse_unit(quantity, series)
             continue
         alike = _units_of(quantity, kind.si_units)
         if series is not None and series.unit not in (None, *alike):
@@ -114,6 +115,15 @@ def map_from_toml(text: str, kind: type[Map]) -> Map:
                 f"the column map gives {quantity} in {series.unit!r}; units are {', '.join(alike)}"
             )
     return columns
+
+
+def _refuse_unit(quantity: str, series: Stamps | None) -> None:
+    if series is not None and series.unit not in (None, "", "1"):
+        raise ValueError(
+            f"the column map gives {quantity} in {series.unit!r}, which has no unit in the "
+            f"scenario; write {series.unit!r} in the sensor's channels or in state_units, or leave "
+            "the unit out of the map"
+        )
 
 
 def read_channels(
@@ -260,16 +270,20 @@ def _in_si(file: LogFile, quantity: str, one: Stamps, default: LogMap) -> np.nda
     if one.column not in file.names:
         there = ", ".join(file.names) or "none, for the file is empty"
         lost = f" (cannot be decoded: {', '.join(file.unread)})" if file.unread else ""
-        raise ValueError(f"no column {one.column!r} for {quantity}; there are {there}{lost}")
+        raise ValueError(
+            f"no column {one.column!r} for {quantity}; there are {there}{lost}; correct the column "
+            "map, or add the column to the file"
+        )
     told, alike = file.unit(one.column), _units_of(quantity, default.si_units)
     unit = one.unit or told
     if default.si_units.get(quantity) == "":
         # A quantity that the user gave no unit is what the numbers are.
         return one.scale * file.series(one.column) + one.offset
     if unit is None or unit not in alike:
+        has = "no unit" if unit is None else f"the unit {unit}"
         raise ValueError(
-            f"{one.column!r} for {quantity} has the unit {unit or 'of no line'}; give the column "
-            f"map one of {', '.join(alike)}, and leave it empty in the file or write the same"
+            f"{one.column!r} for {quantity} has {has}; write unit = with one of {', '.join(alike)} "
+            "in the column map"
         )
     if told not in (None, unit):
         raise ValueError(

@@ -207,7 +207,7 @@ def _of_one(deviating: list[_Tested]) -> Diagnosis:
 def _by_outliers(test: ChannelTest) -> bool:
     """Whether a few far innovations make up most of what the variance is above 1."""
     few = _FEWEST_FAR <= test.far < _MOST_FAR * test.updates
-    return few and test.spread - 1 > 2 * (test.core - 1)
+    return few and test.spread > 1 and test.spread - 1 > 2 * (test.core - 1)
 
 
 def _deviation(one: _Tested) -> float:

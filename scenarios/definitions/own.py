@@ -101,12 +101,14 @@ def own_scenario(
 @dataclass(frozen=True, eq=False)
 class _OwnNetwork:
     """A plant as the filters believe it, the sensors dealt to the nodes in turn, the plant that
-    really moves, and the readings that stand for it; None for none."""
+    really moves, the readings that stand for it, and those that the user's file names beside them;
+    None for none."""
 
     plant: OwnPlant
     dealt: tuple[NodeSensors | None, ...]
     moving: OwnPlant
     readings: Any
+    usual: Any = None
 
     @cached_property
     def log(self) -> "OwnReplay | None":
@@ -116,7 +118,7 @@ class _OwnNetwork:
         # Only here: a simulated plant needs no reader of logs.
         from concord.plants.own_readings import replayed
 
-        return replayed(self.plant, self.dealt, self.readings)
+        return replayed(self.plant, self.dealt, self.readings, self.usual)
 
     @lru_cache  # noqa: B019  a scenario lives as long as its process
     def truth(self, nodes: int) -> OwnTruth:
@@ -161,7 +163,7 @@ class _OwnNetwork:
 
 def _with_data(own: _OwnNetwork, definition: ScenarioDefinition, data: str) -> ScenarioDefinition:
     """The definition with the readings of a log, which is read where a run needs it."""
-    read = while_files_stay(lambda path: replace(own, readings=path))
+    read = while_files_stay(lambda path: replace(own, readings=path, usual=own.readings))
 
     def log() -> "OwnReplay":
         found = read(data).log

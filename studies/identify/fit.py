@@ -132,7 +132,8 @@ class ValueFit:
                 low = 0.0 if one.is_noise and at < 0 else low
             found.append(FoundValue(one.name, one.start, value, low, high, True))
         for name, (first, last) in self._within.items():
-            start, told = self._start.get(name, 0.0), last - first < self._farthest
+            start = self._start.get(name, 0.0)
+            told = last - first < self._farthest and not first <= 0 <= last
             low, high = (start + self._step_s * step for step in (first - 0.5, last + 0.5))
             value = start + self._step_s * self._moved[name] * told
             found.append(FoundValue(name, start, value, low, high, told))

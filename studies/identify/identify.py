@@ -50,6 +50,7 @@ class Identification(msgspec.Struct, frozen=True):
         values: what filters shall believe, by name: all that was told, and what they believed
             before.
         before, after: the verdict on the readings; none after an interrupt.
+        left: parameters that the scenario declares, and nobody sought.
         updates: number of entries that were read.
         ended: whether the fit came to its end.
     """
@@ -58,6 +59,7 @@ class Identification(msgspec.Struct, frozen=True):
     values: dict[str, float]
     before: Judgement
     after: Judgement | None
+    left: tuple[str, ...]
     updates: int
     ended: bool
 
@@ -124,7 +126,8 @@ def identify(
     if ended:
         on_step(most, most)
     updates = int(np.isfinite(log.values).sum())
-    return Identification(found, values, before, after, updates, ended)
+    left = tuple(one for one in log.known.names if one.startswith(f"{THETA}.") and one not in names)
+    return Identification(found, values, before, after, left, updates, ended)
 
 
 def _sought(log: HeardReadings, name: str, start: dict[str, float]) -> SoughtValue:

@@ -196,7 +196,7 @@ def torment_network(
     return done
 
 
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.study)])
 def test_random_clicks_leave_the_page_alive(chromium, tmp_path: Path, number: int):
     page = recorded_page(chromium, tmp_path, steps=36, **RUNS[number])
     try:

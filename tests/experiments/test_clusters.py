@@ -300,7 +300,7 @@ def test_files_of_tls_are_named(tmp_path: Path):
         connect("tcp://127.0.0.1:1", tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_lost_scheduler_is_one_line_with_the_command_that_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):

@@ -100,8 +100,8 @@ def test_an_own_rule_that_fails_is_shown_with_its_reason(result):
     assert np.isnan(failed["rmse"]).all()
 
 
-def test_noise_is_fixed_and_common_to_all_rules(result):
-    again = cc.compare(cases=[CASE], runs=3)
+def test_noise_is_fixed_and_common_to_all_rules_in_any_number_of_workers(result):
+    again = cc.compare(cases=[CASE], runs=3, workers=2)
     for name in set(again.data_vars) - MEASURED:
         first = result[name].sel(rule=again["rule"])
         assert first.equals(again[name]), name
@@ -136,7 +136,7 @@ def stopping(function, arguments):
 
 
 def test_finished_entries_are_kept_and_not_computed_again(tmp_path: Path):
-    entries = entries_of(asked_cases([CASE], 1), {}, None)
+    entries = entries_of(asked_cases([CASE], 1), {}, None)[:5]
     with pytest.raises(Stopped):
         compute_missing(entries, {}, tmp_path, stopping, lambda _: None)
     done = kept_before(entries, tmp_path)
@@ -193,7 +193,7 @@ def test_the_latex_table_has_a_row_of_ten_cells_for_every_rule_that_ran(result):
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_finished_entries_and_the_same_command_goes_on(tmp_path: Path):
-    words = ["compare", "--case", CASE, "--runs", "20", "--workers", "2", "-o", "out"]
+    words = ["compare", "--case", CASE, "--runs", "6", "--workers", "2", "-o", "out"]
     kept = tmp_path / "out" / KEPT
     with family([*CONCORD, *words], tmp_path) as run:
         said = interrupted(run, lambda: list(kept.glob("*/*.npz")))
@@ -205,10 +205,3 @@ def test_ctrl_c_keeps_finished_entries_and_the_same_command_goes_on(tmp_path: Pa
     )
     assert f"{count} of these were computed before" in again.stderr
     assert (tmp_path / "out" / "results.nc").exists()
-
-
-@pytest.mark.slow
-def test_two_workers_find_what_one_finds(result):
-    two = cc.compare(cases=[CASE], runs=3, workers=2)
-    for name in set(two.data_vars) - MEASURED:
-        assert result[name].sel(rule=two["rule"]).equals(two[name]), name

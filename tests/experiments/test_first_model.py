@@ -141,3 +141,32 @@ def test_stamps_are_no_series_and_tell_their_unit(tmp_path: Path):
     lines += [f"{1_780_000_000_000 + 100 * k},{k}" for k in range(30)]
     (tmp_path / "ms.csv").write_text("\n".join(lines))
     assert 'unit = "ms"' in first_model(tmp_path / "ms.csv", tmp_path)["columns.toml"]
+
+
+def test_noise_of_a_smooth_motion_is_found(tmp_path: Path):
+    """A gyroscope and an angle whose drift is no walk."""
+    time = 0.05 * np.arange(600)
+    noise, generator = np.array([0.02, 0.5]), np.random.default_rng(4)
+    true = np.stack([0.3 * np.sin(time), 20 * np.cos(1.3 * time)], axis=-1)
+    model = written(
+        rows("gyro,angle", *(true + noise * generator.standard_normal(true.shape)).T), tmp_path
+    )
+    # The third differences of 600 readings: three standard errors are 25 %.
+    np.testing.assert_allclose(model["NOISE"], noise, rtol=0.25)
+
+
+def test_the_model_of_one_log_takes_another_log_of_the_same_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    for name, seed in (("one.csv", 1), ("other.csv", 2)):
+        Path(name).write_text("\n".join(walk(seed).splitlines()[:60]) + "\n")
+    concord(capsys, "new", "tank", "--from-log", "one.csv")
+    run = ("run", "--scenario", "./tank/model.py:SCENARIO", "--data", "other.csv", "--out", "run")
+    assert concord(capsys, *run).code in (0, 1)
+    with xr.open_dataset("run/run.nc", engine="h5netcdf") as kept:
+        reads = kept["readings"].to_numpy()[0, :, 0, 0, 0]
+    np.testing.assert_allclose(reads, np.loadtxt("other.csv", delimiter=",", skiprows=1)[:, 1])
+    Path("strange.csv").write_text("time,a\n0,1\n1,2\n")
+    said = refused(concord(capsys, *run[:3], "--data", "strange.csv"))
+    assert "no column 'speed [m/s]'" in said and "there are time, a" in said

@@ -112,3 +112,12 @@ def test_the_interval_of_nis_covers_a_variance():
     intervals = [nis_interval(total, 30) for total in squares]
     covered = sum(one.low <= 1 <= one.high for one in intervals)
     assert stats.binomtest(covered, 1000, 0.95).pvalue > 1e-3
+
+
+def test_far_readings_of_a_filter_that_believes_in_more_noise_are_no_outliers():
+    """A gate refuses none of them: it is as wide as the filter believes."""
+    found = 0.15 * np.random.default_rng(3).standard_normal(400)
+    found[50:58:2] = 1.4
+    test = channel_test(found[None], np.ones((1, 400)))
+    assert test.far == 4 and test.nis.high < 1
+    assert diagnose([(Channel(0, 0, 0, "angle", "rad"), test)]).cause is Cause.NOISE_TOO_LARGE

@@ -121,7 +121,7 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
 @pytest.mark.parametrize(
     ("scenario", "asked"),
     [
-        ("oscillator --graph ring --nodes 8200 --bus ideal", 20),
+        ("oscillator --graph ring --nodes 8200 --bus ideal", 12),
         # So many that a fast machine is not done with them when progress is told next.
         ("vehicle-network --filter ukf --changes '1 corrupt 0.01'", 800),
     ],
@@ -261,7 +261,7 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
     assert check_folder(tmp_path / "run") == 300
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_twenty_launches_with_an_interruption_at_a_random_moment(tmp_path: Path):
     """No first line is awaited, so how busy the machine is stays unknown: only a hang fails."""
     generator = random.Random(20)

@@ -123,7 +123,7 @@ def check_books(played: Played, gone: int, joined: int) -> None:
         assert sum(one.incomplete for one in said) <= counters.get("missed", 0)
 
 
-@pytest.mark.parametrize("death", ["SIGKILL", "on command"])
+@pytest.mark.parametrize("death", ["SIGKILL", pytest.param("on command", marks=pytest.mark.study)])
 def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: Path, death: str):
     setup = small(nodes=5, graph="ring", steps=75)
     with playing(setup, tmp_path) as network:

@@ -118,3 +118,22 @@ def test_a_reading_without_a_time_of_its_own_is_refused(stamps, values, says):
 def test_rows_without_a_reading_need_no_time_of_their_own():
     rows = channel_of(np.array([np.nan, 0.0, 0.0]), np.array([np.nan, 1.0, np.nan]))
     np.testing.assert_array_equal(rows.stamps_s, [0.0])
+
+
+def test_channels_whose_clocks_are_hours_apart_are_refused():
+    imu = ChannelReadings(np.arange(0.0, 20.0, 0.05), np.zeros(400))
+    gps = ChannelReadings(7200 + np.arange(0.0, 20.0, 0.25), np.zeros(80))
+    with pytest.raises(ValueError, match=r"gps begins at 7200 s, 7180.05 s after imu and all"):
+        grid_over({"gps": gps, "imu": imu}, 0.05)
+
+
+def test_channels_that_never_read_at_one_time_are_told(capsys: pytest.CaptureFixture[str]):
+    first = ChannelReadings(np.arange(0.0, 20.0, 0.25), np.zeros(80))
+    later = {
+        gap_s: ChannelReadings(first.stamps_s + 19.75 + gap_s, np.zeros(80)) for gap_s in (1, 30)
+    }
+    # One camera after the other is a network; a minute between them may be a clock.
+    assert grid_over({"a": first, "b": later[1]}, 0.25).steps == 163
+    assert capsys.readouterr().err == ""
+    assert grid_over({"a": first, "b": later[30]}, 0.25).steps == 279
+    assert "b begins at 49.75 s, 30 s after a and all that begins before" in capsys.readouterr().err

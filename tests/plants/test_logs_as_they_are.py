@@ -108,8 +108,8 @@ REFUSED = {
         'map; write unit = "deg/s" in the map',
     ),
     "a unit of another quantity": (HEAD + "s,m,m/s\n" + FIRST, NO_UNITS,
-                                   "has the unit m; give the column map one of rad/s, deg/s"),
-    "no unit": (PLAIN, NO_UNITS, "give the column map one of rad/s, deg/s"),
+                                   "has the unit m; write unit = with one of rad/s, deg/s"),
+    "no unit": (PLAIN, NO_UNITS, "has no unit; write unit = with one of rad/s, deg/s"),
     "dates in ms": (DATED.format(*"   "), MAP.replace('"s"', '"ms"'),
                     "'time' for time of yaw_rate is in s by the file, but in ms"),
     "a word": (PLAIN.replace("-0.2", "fast"), MAP, "drive.csv: line 3: field 2 (yaw_rate) is "
@@ -128,10 +128,10 @@ REFUSED = {
                      "line 4 and line 5 have the time 0.02 s and other values"),
     "no time": (PLAIN.replace("0.01", "nil"), MAP, "line 3 has no time; give it one"),
     "a stray stamp": (STRAY, MAP, "drive.csv: 'yaw_rate' for yaw_rate: line 5 has the time "
-                      "1780315200 s, 1.78032e+09 s after the one before (line 4); remove"),
+                      "1780315200 s, 1.78032e+09 s after the nearest in time (line 4); remove"),
     "a jump of hours": (PLAIN + "7200,0.4,22\n7200.01,0.4,22\n", MAP, "line 5 has the time 7200 s"),
     "an unset stamp": (IN_NS + "0,1,1\n", MAP.replace('"s"', '"ns"'),
-                       "1780315200 s, 1.78032e+09 s after the one before (line 5)"),
+                       "line 5 has the time 0 s, 1.78032e+09 s before the nearest in time"),
 }  # fmt: skip
 
 

@@ -197,3 +197,23 @@ def test_a_restart_that_dies_while_it_starts_holds_up_no_step(monkeypatch: pytes
     assert controller.state.released == 0
     process.attend(NodeEnded(2, 1))
     assert controller.state.released > 0
+
+
+def test_who_has_come_back_is_told_until_it_asks_to_be_let_in(monkeypatch: pytest.MonkeyPatch):
+    """A link that has just come back may lose the first word."""
+    process, wire = process_of(monkeypatch, build_environment(small(steps=9)), Lockstep())
+    again: list[tuple[float, object]] = []
+    monkeypatch.setattr(process, "_notify_later", lambda *after: again.append(after))
+    monkeypatch.setattr(wire, "missing", lambda names: [])
+    process.controller.begin()
+    process.attend(Presence(2, False))
+    wire.sent.clear()
+    process.attend(Presence(2, True))
+    for _ in range(2):
+        [(seconds, notice)] = again
+        again.clear()
+        assert seconds > 0
+        process.attend(notice)
+    assert [name for name, _ in wire.sent].count("gone/2") == 3
+    process.attend(Hello(2, "a" * 64))
+    assert process.controller._ready == {2}

@@ -117,7 +117,7 @@ def test_a_sweep_without_a_truth_shows_how_far_rules_are_from_the_best_filter(na
 
 @pytest.mark.parametrize("rule", ["local", "ci"])
 def test_a_sweep_has_the_innovations_of_a_log_without_a_truth(name: str, capsys, rule: str):
-    """NIS of `local` is that of a scalar Kalman filter, written here; fused nodes predict better."""
+    """NIS of `local` is that of a scalar Kalman filter, written here; fused nodes know more."""
     asked = ("--data", "mapped", "--rule", rule, "--runs", 1)
     said = concord(capsys, "sweep", "--scenario", name, *asked, "-o", "swept.nc", "--json")
     (nis, *_) = said.json()["cells"][0]["nis"]

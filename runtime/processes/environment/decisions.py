@@ -48,6 +48,8 @@ def compare(hello: Hello, fingerprint: str) -> None:
 # An environment process that stood still for longer than its lease finds all nodes gone. Links come
 # back within a second or two, on a busy machine in three times that.
 _RETURN_S = 6.0
+# From one word that a node was given up to the next, until it asks to be let in.
+_TOLD_AGAIN_S = 1.0
 _FALSELY_ABSENT = (
     "node {} took node {} for out, which takes part: a message was forged or lost; all nodes are "
     "told that it takes part (docs/security.md)"
@@ -71,6 +73,14 @@ class TellOut(NamedTuple):
     """Tell a node that has come back that it was given up."""
 
     node: int
+
+
+class LookAgain(NamedTuple):
+    """Give notice of `StillOut` after so long: a link that has just come back does not know yet who
+    listens, and drops what is said on it."""
+
+    node: int
+    seconds: float
 
 
 class Remind(NamedTuple):
@@ -97,7 +107,17 @@ class Refuse(NamedTuple):
     why: str
 
 
-Action = EnvironmentMessage | StartNode | KillNode | TellOut | Remind | AwaitReturn | Tell | Refuse
+Action = (
+    EnvironmentMessage
+    | StartNode
+    | KillNode
+    | TellOut
+    | LookAgain
+    | Remind
+    | AwaitReturn
+    | Tell
+    | Refuse
+)
 
 
 class EnvironmentDecisions:
@@ -193,7 +213,7 @@ class EnvironmentDecisions:
             return self._give_up(node)
         # A node that was given up may have been out of reach only: it must know.
         absent = self.controller.state.standing.absent
-        return [TellOut(node)] if node in absent else []
+        return [TellOut(node), LookAgain(node, _TOLD_AGAIN_S)] if node in absent else []
 
     def _let_in(self, hello: Hello) -> list[Action]:
         if hello.fingerprint != self._fingerprint:

@@ -19,6 +19,12 @@ class Presence(NamedTuple):
     is_there: bool
 
 
+class StillOut(NamedTuple):
+    """A node that has come back was told some time ago that it was given up."""
+
+    node: int
+
+
 class Hello(NamedTuple):
     """A node says that it is ready, and with which configuration."""
 
@@ -52,6 +58,7 @@ class Alone(NamedTuple):
 Notice = (
     Alone
     | Presence
+    | StillOut
     | Hello
     | Repeated
     | RecorderCaughtUp

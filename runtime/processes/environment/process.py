@@ -28,6 +28,7 @@ from concord.runtime.processes.environment.decisions import (
     AwaitReturn,
     EnvironmentDecisions,
     KillNode,
+    LookAgain,
     Refuse,
     Remind,
     StartNode,
@@ -41,6 +42,7 @@ from concord.runtime.processes.environment.notices import (
     Asked,
     Notice,
     Presence,
+    StillOut,
 )
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
 from concord.runtime.processes.environment.reports import (
@@ -196,6 +198,9 @@ class EnvironmentProcess:
             case Alone():
                 missing = self.transport.missing([str(node) for node in range(self._nodes)])
                 self._decisions.end_if_deserted([int(name) for name in missing])
+            case StillOut(node):
+                if not self.transport.missing([str(node)]):
+                    self._act(self._decisions.attend(Presence(node, True)))
             case BidsClosed() | StepClosed():
                 self._close(notice)
             case _:
@@ -231,10 +236,10 @@ class EnvironmentProcess:
                     self.transport.send(f"gone/{node}", encode(Gone(node)))
                 case Remind(nodes):
                     self._pacing.remind(nodes, self._lines)
+                case LookAgain(node, seconds):
+                    self._notify_later(seconds, StillOut(node))
                 case AwaitReturn(seconds):
-                    timer = threading.Timer(seconds, self.inbox.notify, (Alone(),))
-                    timer.daemon = True
-                    timer.start()
+                    self._notify_later(seconds, Alone())
                 case Refuse(why):
                     self.inbox.refuse(why)
                 case Tell(line):
@@ -243,6 +248,11 @@ class EnvironmentProcess:
                     if isinstance(action, Event) and (line := membership_in_words(action)):
                         sys.stderr.write(f"environment: {line}\n")
                     self._pacing.send(action, self._lines)
+
+    def _notify_later(self, seconds: float, notice: Notice) -> None:
+        timer = threading.Timer(seconds, self.inbox.notify, (notice,))
+        timer.daemon = True
+        timer.start()
 
     def _say_once(self, line: str) -> None:
         # A flood of such lines would hide all others.

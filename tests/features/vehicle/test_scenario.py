@@ -51,7 +51,7 @@ def rmse(mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.sqrt(((mean[200:] - truth[200:, None]) ** 2).mean(axis=0))
 
 
-@pytest.mark.parametrize("noise", ["growing", pytest.param("matched", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("noise", ["matched", pytest.param("growing", marks=pytest.mark.study)])
 def test_the_network_is_better_than_each_node_alone_in_every_state(noise):
     prepared = setup(noise=noise)
     trace = run(prepared)

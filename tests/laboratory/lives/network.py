@@ -27,6 +27,7 @@ from concord.runtime.processes.environment.decisions import (
     Deserted,
     EnvironmentDecisions,
     KillNode,
+    LookAgain,
     Remind,
     StartNode,
     TellOut,
@@ -35,7 +36,9 @@ from concord.runtime.processes.environment.notices import (
     Alone,
     Hello,
     Notice,
+    Presence,
     RecorderCaughtUp,
+    StillOut,
 )
 from concord.runtime.processes.environment.pacing import Lockstep, RealTime
 from concord.runtime.processes.environment.timetable import timetable
@@ -57,6 +60,7 @@ START_S = 1.0
 # Messages on a link, in lockstep slower, so that a run lasts longer than its incidents.
 _DELAYS_S, _LOCKSTEP_DELAYS_S = (2e-4, 4e-3), (0.1, 0.5)
 _RECORDED_S = (0.01, 0.3)
+_LOST = 0.5
 _DIGEST = "a" * 64
 
 
@@ -67,6 +71,7 @@ class LivesNetwork:
         self.case, self.setup = case, case.setup()
         self.clock = VirtualClock()
         self._generator = np.random.default_rng([case.seed, 27])
+        self._losses = np.random.default_rng([case.seed, 28])
         config = build_environment(self.setup)
         self._pacing = Lockstep() if case.tempo is None else RealTime(case.tempo)
         self.decisions = EnvironmentDecisions(
@@ -144,6 +149,9 @@ class LivesNetwork:
             if isinstance(notice, Alone):
                 newest, missing = self.launcher.newest, self.launcher.missing()
                 self.watch.check_deserted(newest, missing, self.decisions)
+            elif isinstance(notice, StillOut):
+                if notice.node in self.launcher.seen:
+                    self._act(self.decisions.attend(Presence(notice.node, True)))
             elif isinstance(notice, StepClosed):
                 while self._messages:
                     self._act(self.decisions.take(self._messages.popleft()))
@@ -159,7 +167,12 @@ class LivesNetwork:
                 case KillNode(node):
                     self.launcher.kill(self.launcher.newest[node])
                 case TellOut(node):
+                    # What is said on a link that has just come back may be lost.
+                    if self._losses.random() < _LOST:
+                        continue
                     self._deliver(node, f"gone/{node}", encode(Gone(node)))
+                case LookAgain(node, seconds):
+                    self.clock.after(seconds, partial(self._notify, StillOut(node)))
                 case Remind(nodes) if self.case.tempo is not None:
                     for node in sorted(set(nodes) & self.launcher.seen):
                         self._deliver(node, f"gone/{node}", encode(Gone(node)))

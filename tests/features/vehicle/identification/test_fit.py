@@ -54,6 +54,7 @@ def identified(tmp_path_factory) -> Identified:
     return Identified(json.loads(text), car_from_toml((folder / "found.toml").read_text()), text)
 
 
+@pytest.mark.study
 def test_all_that_is_wrong_is_found_within_its_interval(identified: Identified):
     """Wrong Q, R, offsets, delay and lever arm. Of 25 intervals of 95 %, 22 hold in 97 of 100."""
     drive, _ = simulated_log(TRUE, 0.5, 1)
@@ -80,6 +81,7 @@ def test_all_that_is_wrong_is_found_within_its_interval(identified: Identified):
     assert sum(held.values()) >= 22, held
 
 
+@pytest.mark.study
 def test_nis_is_right_afterwards(identified: Identified):
     said = identified.said
     low, high = said["nis_interval"]
@@ -88,6 +90,7 @@ def test_nis_is_right_afterwards(identified: Identified):
     assert said["nis_before"] > 1.5
 
 
+@pytest.mark.study
 def test_another_drive_of_the_car_is_consistent(identified: Identified, tmp_path: Path):
     """NIS, and ANEES of the side slip, are right with the file that was written."""
     drive, states = simulated_log(TRUE, 5.0, SEED + 4)

@@ -56,6 +56,7 @@ def test_it_takes_the_readings_of_a_run():
     np.testing.assert_array_equal(log.readings[:, :5], heard)
 
 
+@pytest.mark.study
 def test_slow_sensors_keep_their_noise_and_satellites_are_fitted():
     """Wheel speeds that were interpolated had a noise of two thirds of the truth."""
     channels = mixed_rates(6.0, 4)
