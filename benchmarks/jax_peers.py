@@ -14,17 +14,22 @@ import numpy as np
 
 from benchmarks.cases import SENSOR_POSITION_M, BenchmarkCase, readings
 
-NAMES = ("dynamax", "cuthbert")
+_NAMES = ("dynamax", "cuthbert")
 
 
 def jax_loops(case: BenchmarkCase, lanes: int, steps: int) -> dict[str, Callable[[], float]]:
-    """The loops of the libraries that are installed, by name and version."""
-    makers = {"dynamax": _dynamax, "cuthbert": _cuthbert}
+    """The loops of the libraries that are installed, by name."""
     return {
-        f"{name} {version(name)}": _timed(makers[name](case, steps), case, lanes, steps)
-        for name in NAMES
+        name: _timed(make(case, steps), case, lanes, steps)
+        for name, make in {"dynamax": _dynamax, "cuthbert": _cuthbert}.items()
         if find_spec(name) is not None
     }
+
+
+def installed() -> str:
+    """The libraries with their versions; how they are installed where there is none."""
+    found = [f"{name} {version(name)}" for name in _NAMES if find_spec(name) is not None]
+    return ", ".join(found) or "dynamax and cuthbert are not installed (make peers)"
 
 
 def _timed(filtered: Callable, case: BenchmarkCase, lanes: int, steps: int) -> Callable[[], float]:

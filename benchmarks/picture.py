@@ -26,6 +26,8 @@ FILTERS = {
     "Stone Soup": "Stone Soup",
     "filterpy": "filterpy",
     "numpy, one": "concord, one filter",
+    "cuthbert": "cuthbert (JAX, extended), 10,000",
+    "dynamax": "dynamax (JAX), 10,000",
     "numpy, many": "concord, 10,000 filters",
     "C loop": "loop in C, models in C",
 }

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.cases import BenchmarkCase, beliefs, readings, straight, turn
-from benchmarks.jax_peers import jax_loops
+from benchmarks.jax_peers import installed, jax_loops
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
 from concord.filters.gaussian import Gaussian
@@ -50,6 +50,7 @@ def _lanes_last(readings: np.ndarray) -> np.ndarray:
 def main() -> BenchmarkFigures:
     """Print and return steps per second and ratios of both cases."""
     results: BenchmarkFigures = {}
+    say(installed())
     for case in (straight(), turn()):
         contestants = {
             "filterpy": filterpy_loop(case),

@@ -84,6 +84,7 @@ class _Series(NamedTuple):
     column: str
     unit: str
     spacing_s: float
+    span_s: float
     mean: float
     cov: float
     drift: float
@@ -116,13 +117,21 @@ def first_model(log: Path, folder: Path) -> dict[str, str]:
         reasons = [f"{name}: {reason}" for name, reason in left.items()]
         more = [f"and {len(reasons) - _MOST_REASONS} more"] if reasons[_MOST_REASONS:] else []
         why = "; ".join(reasons[:_MOST_REASONS] + more)
+        cure = "name the column of the stamps time" if why else "give a log that has some"
         raise ValueError(
-            f"{log}: no series of numbers with stamps ({why or 'the file has none'}); name "
-            "the column of the stamps time"
+            f"{log}: no series of numbers with stamps ({why or 'the file has none'}); {cure}"
         )
-    for name, why in left.items():
-        sys.stderr.write(f"{name} is left out: {why}\n")
+    for why in dict.fromkeys(left.values()):
+        names = [name for name, reason in left.items() if reason == why]
+        some = ", ".join(names[:_MOST_REASONS])
+        more = f" and {len(names) - _MOST_REASONS} more" if len(names) > _MOST_REASONS else ""
+        sys.stderr.write(f"left out: {some}{more} ({why})\n")
     step_s = float(f"{min(one.spacing_s for one in found):.4g}")
+    span_s = max(one.span_s for one in found)
+    sys.stderr.write(
+        f"{len(found)} series with a reading every {step_s:g} s for {span_s:g} s; correct the unit "
+        "of the time in columns.toml and STEP_S where that is wrong\n"
+    )
     place = os.path.relpath(log, folder)
     return {
         "columns.toml": _columns(place, time, found, left),
@@ -172,6 +181,7 @@ def _series(
         column,
         unit,
         channel.spacing_s,
+        float(f"{channel.stamps_s[-1] - channel.stamps_s[0]:.4g}"),
         float(channel.values[0]),
         max(float(np.var(channel.values)), noise),
         drift,

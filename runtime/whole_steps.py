@@ -22,20 +22,30 @@ _LONGEST_WAIT_STEPS = 1000
 _STILL_THERE_STEPS = 8
 
 
+EVENTS_ALONE = b"events"
+"""Question of a page that has all readings."""
+
+
 class WholeStep(NamedTuple):
-    """A step that is over: its truth, measurements, shares and estimates as (topic, bytes)."""
+    """A step that is over: its truth, measurements, shares and estimates as (topic, bytes).
+
+    `events` is the number of events of the run when a page was offered it.
+    """
 
     number: int
     messages: list[tuple[str, bytes]]
+    events: int = 0
 
 
 class Handover(NamedTuple):
-    """The newest whole step, and the readings of all steps up to it; None where they are too many.
+    """The newest whole step, all events so far, and the readings of all steps up to it; None where
+    they are too many, or where events alone are asked for.
 
-    The recorder gives it to a page that begins to listen.
+    The recorder gives it to a page that begins to listen, or that lacks an event.
     """
 
     step: WholeStep
+    events: list[bytes]
     readings: list[WholeStep] | None
 
 

@@ -6,7 +6,7 @@ the recorder offers every step of a slow network and some steps of a fast one
 """
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from threading import Thread
@@ -98,6 +98,8 @@ class LiveNetwork:
         self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
+        # The events that the page has, each as often as it came.
+        self._events: Counter[bytes] = Counter()
         self._taking_over: Iterator[int] = iter(())
         self._taken: int | None = None
         self._take_over(standing.first_step)
@@ -125,6 +127,7 @@ class LiveNetwork:
             handed = self._client.handover()
             if handed is None or handed.step.number < since:
                 return
+            self._know(handed.events)
             self._heard.appendleft(("steps", msgspec.msgpack.encode(handed.step)))
             before = (handed.readings or [])[:-1]
             is_whole = [step.number for step in before] == list(range(handed.step.number))
@@ -156,13 +159,35 @@ class LiveNetwork:
         while self._heard:
             topic, data = self._heard.popleft()
             if topic == "event":
+                self._events[data] += 1
                 self._assembler.hear(data)
                 continue
             with suppress(msgspec.MsgspecError):
                 step = msgspec.msgpack.decode(data, type=WholeStep)
+                self._catch_up(step.events)
                 frames.append(self._assembler.frame(step))
                 self._completed = max(self._completed, step.number + 1)
         return [frame for frame in frames if frame is not None]
+
+    def _know(self, events: Sequence[bytes]) -> None:
+        """Begin with the events before the page: the state of the network has them already."""
+        before = Counter(events)
+        for message in list(self._heard):
+            if message[0] == "event" and before[message[1]]:
+                self._heard.remove(message)
+        self._events = before
+
+    def _catch_up(self, events: int) -> None:
+        """Ask for events that a full link has dropped, where there have been so many."""
+        if events <= self._events.total():
+            return
+        known = self._events.copy()
+        for event in self._client.events():
+            if known[event]:
+                known[event] -= 1
+            else:
+                self._events[event] += 1
+                self._assembler.hear(event)
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()

@@ -154,7 +154,8 @@ def text_of(file: Path) -> str:
     try:
         return file.read_text(encoding="utf-8-sig")  # some programs begin a file with its mark
     except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror}); a log needs it") from None
+        why = f"cannot be read ({error.strerror})"
+        raise ValueError(f"{file}: {why}; name one that is there") from None
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{file}: byte {error.start} is not UTF-8 text; save the file as UTF-8"

@@ -203,9 +203,10 @@ def lines(figures: Summary) -> list[str]:
             f"truth; e' P^-1 e is at most {found['set_largest'].value:.12g}, and 1 is the edge"
         )
     if any(suspect := figures.details.get("suspect", [])):
-        doubted = ", ".join(f"{i} in {count:.3g}" for i, count in enumerate(suspect) if count)
+        doubted = ", ".join(f"{count:.3g} of node {i}" for i, count in enumerate(suspect) if count)
         text.append(
-            f"warning: beliefs do not fit the records of these nodes, in so many steps: {doubted}"
+            f"warning: steps in which records of a node do not fit its belief: {doubted}; one in "
+            "1,000 is chance, and more say that the model was off for a while (docs/labelled.md)"
         )
     if (smoothed := figures.details.get("smoothed")) is not None:
         chosen = [smoothed[lag] for lag in shown_lags(len(smoothed))]

@@ -8,7 +8,7 @@ import msgspec
 from concord.nodes.commands import Answer, Command
 from concord.runtime.network.links import ZenohEndpoints, checked_run
 from concord.runtime.network.zenoh_transport import LinkError, Transport
-from concord.runtime.whole_steps import Handover
+from concord.runtime.whole_steps import EVENTS_ALONE, Handover
 
 _CONNECT_S = 3.0
 _HANDOVER_S = 0.5
@@ -84,8 +84,14 @@ class Client:
         answer = self._ask(self._transport, "control", msgspec.json.encode(command))
         return msgspec.json.decode(answer, type=Answer)
 
+    def events(self) -> list[bytes]:
+        """Return all events so far, as they are recorded; none where the recorder is silent."""
+        answer = self._transport.ask("handover", EVENTS_ALONE)
+        return msgspec.msgpack.decode(answer, type=Handover).events if answer else []
+
     def handover(self) -> Handover | None:
-        """Return the newest whole step and the readings so far; None before the first step is over.
+        """Return the newest whole step with events and readings so far; None before the first step
+        is over.
 
         Raises:
             msgspec.MsgspecError: the recorder is of another version.

@@ -33,8 +33,9 @@ def in_one_word(asked: str) -> str:
     try:
         tables = tomllib.loads(Path(asked).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
         raise ValueError(
-            f"--identified {asked}: {error}; give a file that `concord identify` wrote"
+            f"--identified {asked}: cannot be read ({why}); give a file of `concord identify`"
         ) from None
     pairs = {
         f"{table}.{name}": value

@@ -1,6 +1,7 @@
 """Pages on a network that is not there, that stands still, that is fast, and that they leave."""
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -221,3 +222,21 @@ def _connected(socket: str) -> list[str]:
     """Connections that others have to a unix socket of this machine."""
     rows = [row.split() for row in (PROC / "net" / "unix").read_text().splitlines()[1:]]
     return [row[6] for row in rows if row[-1] == socket and row[5] == _CONNECTED]
+
+
+class Deaf(deque[tuple[str, bytes]]):
+    """What a page hears, without events."""
+
+    def append(self, message: tuple[str, bytes]) -> None:
+        if message[0] != "event":
+            super().append(message)
+
+
+def test_an_event_that_a_full_link_drops_is_asked_for(
+    page: LiveNetwork, onlooker: Client, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(page, "_heard", Deaf(page._heard))
+    _say(onlooker, "cut 0 1")
+    frames = _until(page, lambda frames: any(frame.events for frame in frames))
+    texts = [event.text for frame in frames for event in frame.events]
+    assert texts == ["link 00 → 01 cut", "link 01 → 00 cut"]

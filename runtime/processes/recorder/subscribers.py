@@ -1,6 +1,7 @@
 """Subscribers of the recorder hear each message, and as many whole steps as an eye follows.
 
-A subscriber that comes later asks for the newest step and for all readings up to it.
+A subscriber that comes later asks for the newest step and for all readings up to it. A link that is
+full drops what is offered, so each step says how many events there were, and who lacks one asks.
 """
 
 import math
@@ -12,7 +13,7 @@ import msgspec
 
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.recorder.throttled_feed import ThrottledFeed
-from concord.runtime.whole_steps import Handover, WholeStep, WholeSteps
+from concord.runtime.whole_steps import EVENTS_ALONE, Handover, WholeStep, WholeSteps
 
 # Kept of the readings of a run: some 15 000 steps of eight nodes.
 _MOST_READING_BYTES = 16_000_000
@@ -27,6 +28,7 @@ class Subscribers:
         self._alarm: threading.Timer | None = None
         self._are_there = False
         self._newest: WholeStep | None = None
+        self._events: list[bytes] = []
         self._readings: list[WholeStep] | None = []
         self._reading_bytes = 0
         offered.listened("watch/**", self._see)
@@ -39,6 +41,8 @@ class Subscribers:
     def tell(self, messages: Sequence[tuple[str, bytes]]) -> None:
         """Messages were recorded."""
         for topic, data in messages:
+            if topic == "event":
+                self._events.append(data)
             whole = self._steps.take(topic, data)
             for step in whole:
                 self._keep(step)
@@ -69,20 +73,24 @@ class Subscribers:
                 self._readings = None
         self._newest = step
 
-    def _hand_over(self, _: bytes) -> bytes:
-        """Return the newest step with the readings so far; nothing before the first step is over.
+    def _hand_over(self, asked: bytes) -> bytes:
+        """Return the newest step with all events, and the readings so far unless `EVENTS_ALONE` is
+        asked; nothing before the first step is over.
 
-        Runs on: zenoh's thread. Holds: no lock; the list only grows, and is read in one go.
+        Runs on: zenoh's thread. Holds: no lock; the lists only grow, and are read in one go.
         """
         newest, readings = self._newest, self._readings
         if newest is None:
             return b""
+        if asked == EVENTS_ALONE:
+            readings = None
         if readings is not None:
             readings = [step for step in list(readings) if step.number <= newest.number]
-        return msgspec.msgpack.encode(Handover(newest, readings))
+        return msgspec.msgpack.encode(Handover(newest, list(self._events), readings))
 
     def _offer(self, step: WholeStep | None) -> None:
         if step is not None:
+            step = step._replace(events=len(self._events))
             self._offered.offer("watch/steps", msgspec.msgpack.encode(step))
         if self._feed.keeps_one and self._alarm is None:
             # If nothing more comes, it is the step at which the network stands.
