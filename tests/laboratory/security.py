@@ -82,6 +82,7 @@ class _Guarded:
         self._recorder = self.join(self.keys(RECORDER), ("**",))
         self._environment = self.join(self.keys(ENVIRONMENT))
         self._counts: Counter[tuple[str, bytes]] = Counter()
+        self._ends = 0
 
     def keys(self, name: str) -> str:
         return str(self._folder / f"{name}.json")
@@ -93,13 +94,27 @@ class _Guarded:
     def settle(self) -> float:
         """Wait as long as many messages take here, at least half a second; return the seconds."""
         began_s = time.monotonic()
-        self._environment.send("end", b"end")
-        while (message := self._recorder.receive("**")) != ("end", b"end"):
-            if message is not None:
-                self._counts[message] += 1
+        self._ends += 1
+        # The environment's link may not know yet that the recorder listens, and drop a word.
+        while not self._heard(("end", str(self._ends).encode())):
+            pass
         settle_s = max(_SETTLE_S, 50 * (time.monotonic() - began_s))
         time.sleep(settle_s)
         return settle_s
+
+    def _heard(self, end: tuple[str, bytes]) -> bool:
+        """Say a last word, and take what comes until it is there, for a moment at most."""
+        self._environment.send(*end)
+        until_s = time.monotonic() + _SETTLE_S
+        while time.monotonic() < until_s:
+            message = self._recorder.receive_at_once("**")
+            if message == end:
+                return True
+            if message is None:
+                time.sleep(0.001)
+            elif message[0] != "end":
+                self._counts[message] += 1
+        return False
 
     def arrived(self) -> Counter[tuple[str, bytes]]:
         """How often each (topic, bytes) has come since the last call."""
