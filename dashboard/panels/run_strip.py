@@ -57,7 +57,7 @@ class RunStrip:
             f'style="display:block;cursor:pointer"><style>.bin:hover{{fill:{ink};'
             f"fill-opacity:.25}}</style>"
             f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}'
-            f'<tspan class="wide">, log</tspan></text>'
+            "<title>on a logarithmic scale</title></text>"
             f'<text x="6" y="{_HEIGHT - 4:g}" font-size="10.5" fill="{quiet}">missed</text>'
             f"{_loop(theme, place, bins.edges, view.loop)}{_heat(theme, place, bins.missed)}"
             f"{_line(theme, place, bins.rmse)}"
