@@ -40,7 +40,7 @@ longer so once a user has drawn the line between them. */
 .present :is(.concord-status,.uplot-container){zoom:1.5}
 .present [data-testid=timeline] text{font-size:18px!important}
 .present .slot text{font-size:22px!important;transform:translateY(4px)}
-.present :is([data-testid=timeline],[data-testid=run]) .wide{display:none!important}
+.present [data-testid=timeline] .wide{display:none!important}
 .present .bus-legend{zoom:1.35}
 .present [data-testid=run] text{font-size:18px!important}
 .uplot-container .u-title{min-width:200px}

@@ -56,8 +56,7 @@ class RunStrip:
             f'viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" width="100%" '
             f'style="display:block;cursor:pointer"><style>.bin:hover{{fill:{ink};'
             f"fill-opacity:.25}}</style>"
-            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}'
-            "<title>on a logarithmic scale</title></text>"
+            f'<text x="6" y="{_TOP + 14:g}" font-size="10.5" fill="{quiet}">{name}</text>'
             f'<text x="6" y="{_HEIGHT - 4:g}" font-size="10.5" fill="{quiet}">missed</text>'
             f"{_loop(theme, place, bins.edges, view.loop)}{_heat(theme, place, bins.missed)}"
             f"{_line(theme, place, bins.rmse)}"
