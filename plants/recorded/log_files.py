@@ -38,4 +38,6 @@ def open_log(file: Path) -> LogFile:
         known = f"a log is read from files that end in {', '.join(READERS)}"
         cure = _CONVERTED.get(file.suffix.lower(), known)
         raise ValueError(f"{file}: {cure.format(file, file.with_suffix(''))}")
+    if not file.exists():
+        raise ValueError(f"{file}: is not there; name a log that is")
     return reader(file)

@@ -253,3 +253,10 @@ def test_wrong_arguments_are_told_in_a_sentence():
             cc.own_scenario(plant, [sensor], readings=wrong)
     with pytest.raises(ValueError, match="steps 0: must be at least 1"):
         cc.own_scenario(plant, [sensor], steps=0)
+
+
+def test_a_unit_of_the_map_is_never_ignored(tmp_path: Path):
+    """A channel without a unit would take degrees for what the model means."""
+    bare = [OwnSensor(h=lambda x: x[..., :1], R=0.04, name="gps", channels=(("x", ""),))]
+    with pytest.raises(ValueError, match=r"gives gps x in 'm', which has no unit in the scenario"):
+        replayed(CART, sensors_of_nodes(CART, bare), as_folder(tmp_path))
