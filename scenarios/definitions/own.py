@@ -101,8 +101,8 @@ def own_scenario(
 @dataclass(frozen=True, eq=False)
 class _OwnNetwork:
     """A plant as the filters believe it, the sensors dealt to the nodes in turn, the plant that
-    really moves, the readings that stand for it, and those that the user's file names beside them;
-    None for none."""
+    really moves, and the readings that stand for it; None for none. `usual` are those that the
+    user's file names, where others stand."""
 
     plant: OwnPlant
     dealt: tuple[NodeSensors | None, ...]

@@ -225,7 +225,7 @@ def _connected(socket: str) -> list[str]:
 
 
 class Deaf(deque[tuple[str, bytes]]):
-    """What a page hears, without events."""
+    """The messages that a page hears, without events."""
 
     def append(self, message: tuple[str, bytes]) -> None:
         if message[0] != "event":

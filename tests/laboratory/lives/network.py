@@ -167,7 +167,7 @@ class LivesNetwork:
                 case KillNode(node):
                     self.launcher.kill(self.launcher.newest[node])
                 case TellOut(node):
-                    # What is said on a link that has just come back may be lost.
+                    # A word on a link that has just come back may be lost.
                     if self._losses.random() < _LOST:
                         continue
                     self._deliver(node, f"gone/{node}", encode(Gone(node)))
