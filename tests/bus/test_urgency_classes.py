@@ -217,3 +217,17 @@ def test_classes_that_cannot_be_are_refused(values):
 def test_more_frame_ids_than_flexray_has_are_refused_with_the_number_that_fits():
     with pytest.raises(ValueError, match="--urgency-classes 6"):
         bus_of(300, 8, 1, AUDI)
+
+
+def test_places_beyond_the_range_of_bids_are_its_end():
+    classes = UrgencyClasses(4, LEAST, MOST)
+    np.testing.assert_array_equal(classes.spread(np.array([0.0, 0.5, 1.0, 1.5])),
+                                  [LEAST, 512, MOST, MOST])  # fmt: skip
+
+
+def test_the_marks_of_a_cycle_are_its_slots_and_minislots():
+    bus = bus_of(3, 2, 1)
+    ends, begins = bus.marks_us()
+    cluster = bus.cluster
+    assert len(ends) == cluster.static_slots - 1 if cluster.static_slots else ends == []
+    assert begins == [cluster.minislot_start_us(k + 1) for k in range(cluster.minislots)]

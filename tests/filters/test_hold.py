@@ -131,3 +131,13 @@ def test_a_covariance_that_is_not_definite_spoils_its_lane_alone():
 def test_a_decay_beyond_its_range_is_refused(decay):
     with pytest.raises(ValueError, match="decay is"):
         held_weights(BASE, AGES, decay)
+
+
+@pytest.mark.parametrize("rule", [full, renormalise])
+def test_a_lane_without_weight_keeps_its_own_whatever_the_others_have(rule):
+    base = np.array([[0.5, 0.5], [0.0, 1.0]])
+    ages = np.array([[0, 0], [0, -1]])
+    lanes = rule(base, ages)
+    for lane, weights, of_lane in zip(lanes, base, ages, strict=True):
+        np.testing.assert_array_equal(lane, rule(weights, of_lane))
+    np.testing.assert_array_equal(lanes[1], [1.0, 0.0])

@@ -32,3 +32,10 @@ def test_no_fusion_keeps_the_own_belief_whatever_the_others_are(lanes):
     kept = keep_own(beliefs, np.array([0.0, 0.5, 0.5]))
     np.testing.assert_array_equal(kept.mean, beliefs.mean[..., 0, :])
     np.testing.assert_array_equal(kept.cov, beliefs.cov[..., 0, :, :])
+
+
+def test_who_was_not_heard_does_not_pull():
+    means = np.array([[1.0, 2.0], [np.nan, np.nan], [3.0, 2.0]])
+    moved = kalman_consensus.average(means, 0.25)
+    np.testing.assert_array_equal(moved, kalman_consensus.average(means[[0, 2]], 0.25))
+    np.testing.assert_array_equal(moved, [1.5, 2.0])

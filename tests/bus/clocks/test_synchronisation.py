@@ -280,3 +280,12 @@ def test_twenty_nodes_at_1500_ppm_keep_the_precision_over_thirty_thousand_cycles
     run = run_clocks(known, conditions, 30_000, 1)
     assert 0.1 < run.precision_us <= known.precision_us
     assert (run.network.controllers.state == PocState.ACTIVE).all()
+
+
+def test_midpoints_of_several_clocks_are_those_of_each():
+    generator = np.random.default_rng(8)
+    values = generator.integers(-50, 50, (5, 9))
+    known = generator.random((5, 9)) < 0.7
+    known[2] = False
+    each = [midpoint(one, mask) for one, mask in zip(values, known, strict=True)]
+    np.testing.assert_array_equal(midpoint(values, known), each)

@@ -1,6 +1,8 @@
 """Planted errors are found, what nothing tells is left, and equal seeds give equal bits."""
 
 from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from concord.studies.identify import fit
 from concord.studies.identify.fit import FoundValue
 from concord.studies.identify.identify import Identification, identify
 from concord.studies.identify.likelihood import DIFFERENCE, likelihood
-from concord.studies.identify.readings import readings_of
+from concord.studies.identify.readings import HeardReadings, readings_of
 from tests.studies.identify.planted import PLANTS, cart, pendulum, spring
 
 
@@ -224,3 +226,17 @@ def test_a_plant_refuses_parameters_that_are_none(parameters: dict, says: str):
         cc.OwnPlant(
             f=lambda x, *, mass: x / mass, Q=[1.0], mean=[0.0], cov=[1.0], parameters=parameters
         )
+
+
+def test_delays_of_many_lanes_are_those_of_each():
+    generator = np.random.default_rng(6)
+    values = generator.standard_normal((12, 2, 1, 2))
+    setup: Any = SimpleNamespace(time_step_s=0.5)
+    known: Any = SimpleNamespace(kinds=[["gps", "gps"], ["imu"]])
+    log = HeardReadings(setup, known, values, np.zeros((12, 1)))
+    gps, imu = np.array([0.0, 1.0, -2.0, 30.0]), np.array([0.5, 0.0, 1.5, -30.0])
+    lanes = np.stack(list(log.by_step({"delay.gps": gps, "delay.imu": imu}, 4)))
+    for lane, (one, other) in enumerate(zip(gps, imu, strict=True)):
+        alone = np.stack(list(log.by_step({"delay.gps": one, "delay.imu": other}, 1)))
+        np.testing.assert_array_equal(lanes[:, lane], alone[:, 0])
+    assert np.isnan(lanes[:, 3, 0]).all() and np.isfinite(lanes[:, 0, 0]).all()
