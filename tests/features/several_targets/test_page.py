@@ -63,7 +63,7 @@ def test_the_error_of_the_page_is_gospa_as_that_of_the_results_is():
     history = FrameHistory(RUN.stage)
     history.add(RUN.frames)
     strip = RunStrip().draw(RUN.stage, View(), history)
-    assert ">GOSPA<tspan" in strip and "RMSE" not in strip
+    assert ">GOSPA<" in strip and "RMSE" not in strip
 
 
 def test_births_and_deaths_in_the_log_are_those_of_the_tracks():
