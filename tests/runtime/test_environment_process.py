@@ -202,7 +202,7 @@ def test_a_restart_that_dies_while_it_starts_holds_up_no_step(monkeypatch: pytes
 def test_who_has_come_back_is_told_until_it_asks_to_be_let_in(monkeypatch: pytest.MonkeyPatch):
     """A link that has just come back may lose the first word."""
     process, wire = process_of(monkeypatch, build_environment(small(steps=9)), Lockstep())
-    again: list[tuple[float, object]] = []
+    again: list[tuple[float, Any]] = []
     monkeypatch.setattr(process, "_notify_later", lambda *after: again.append(after))
     monkeypatch.setattr(wire, "missing", lambda names: [])
     process.controller.begin()
