@@ -2,8 +2,8 @@
 extended filter, in seconds a lane and step; nothing where they are not installed (`make bench`).
 """
 
-# The development environment has none of them, nor JAX; `make peers` installs them. They take numpy's
-# arrays for JAX's, and their types do not say so.
+# The development environment has none of them, nor JAX; `make peers` installs them. They take
+# numpy's arrays for JAX's, and their types do not say so.
 # pyright: reportMissingImports=false, reportArgumentType=false, reportOptionalSubscript=false
 
 import time
