@@ -89,6 +89,10 @@ def _until(page: LiveNetwork, holds: Callable[[list[StepFrame]], bool]) -> list[
     return frames
 
 
+def _texts(frames: list[StepFrame]) -> list[str]:
+    return [event.text for frame in frames for event in frame.events]
+
+
 def test_nobody_at_an_endpoint_is_said_in_one_sentence():
     started = time.monotonic()
     with pytest.raises(ValueError, match="no network answers"):
@@ -143,9 +147,15 @@ def test_of_a_fast_network_a_page_sees_some_steps_all_events_and_the_last(
     assert len(frames) <= 10 + AT_ONCE + STEPS_PER_S * elapsed_s
     steps = [frame.step for frame in frames]
     assert steps == sorted(set(steps))
-    texts = [event.text for frame in frames for event in frame.events]
-    for text in ("link 00 → 01 cut", "link 01 → 00 cut", "link 00 → 01 healed"):
-        assert texts.count(text) == 1
+    wanted = ("link 00 → 01 cut", "link 01 → 00 cut", "link 00 → 01 healed")
+    texts = _texts(frames)
+    # On a busy machine a full link drops events, and a page asks for them with each further step.
+    for further in range(last + 1, last + 40):
+        if all(text in texts for text in wanted):
+            break
+        _say(onlooker, "step 1")
+        texts += _texts(_until(page, lambda new, step=further: step in [one.step for one in new]))
+    assert [texts.count(text) for text in wanted] == [1, 1, 1]
     # Totals know of the steps that were left out: a share per node and cycle, and cut ones.
     for frame in frames:
         assert (frame.traffic.sent == frame.traffic.sent[0]).all()
