@@ -29,6 +29,7 @@ _STATE_PERIOD_S = 0.5
 # The network is asked twice a second; a loaded machine may answer a few times later.
 _SILENT_S = 5.0
 _QUEUE = 1000
+_MOST_ASKS = 5
 # The page draws ten times a second meanwhile.
 _TAKE_OVER_S = 0.03
 
@@ -100,6 +101,7 @@ class LiveNetwork:
         self._assembler = Assembler(self._stage, network_of(situation))
         # The events that the page has, each as often as it came.
         self._events: Counter[bytes] = Counter()
+        self._asks = 0
         self._taking_over: Iterator[int] = iter(())
         self._taken: int | None = None
         self._take_over(standing.first_step)
@@ -164,7 +166,10 @@ class LiveNetwork:
                 continue
             with suppress(msgspec.MsgspecError):
                 step = msgspec.msgpack.decode(data, type=WholeStep)
-                self._catch_up(step.events)
+                if not self._catches_up(step.events):
+                    # Without its events the step would be drawn with the links of before.
+                    self._heard.appendleft((topic, data))
+                    break
                 frames.append(self._assembler.frame(step))
                 self._completed = max(self._completed, step.number + 1)
         return [frame for frame in frames if frame is not None]
@@ -177,10 +182,11 @@ class LiveNetwork:
                 self._heard.remove(message)
         self._events = before
 
-    def _catch_up(self, events: int) -> None:
-        """Ask for events that a full link has dropped, where there have been so many."""
+    def _catches_up(self, events: int) -> bool:
+        """Ask for events that a full link has dropped, where there have been so many; say whether
+        they are here, or were asked for in vain `_MOST_ASKS` times."""
         if events <= self._events.total():
-            return
+            return True
         known = self._events.copy()
         for event in self._client.events():
             if known[event]:
@@ -188,6 +194,8 @@ class LiveNetwork:
             else:
                 self._events[event] += 1
                 self._assembler.hear(event)
+        self._asks = (self._asks + 1) % _MOST_ASKS
+        return events <= self._events.total() or not self._asks
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()

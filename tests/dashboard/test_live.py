@@ -246,7 +246,12 @@ def test_an_event_that_a_full_link_drops_is_asked_for(
     page: LiveNetwork, onlooker: Client, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(page, "_heard", Deaf(page._heard))
+    ask, silent = page._client.events, [True]
+    # The first question has no answer, and after the step the network stands still.
+    monkeypatch.setattr(page._client, "events", lambda: [] if silent and silent.pop() else ask())
+    _pause(onlooker)
     _say(onlooker, "cut 0 1")
+    _say(onlooker, "step 1")
     frames = _until(page, lambda frames: any(frame.events for frame in frames))
     texts = [event.text for frame in frames for event in frame.events]
-    assert texts == ["link 00 → 01 cut", "link 01 → 00 cut"]
+    assert {"link 00 → 01 cut", "link 01 → 00 cut"} <= set(texts)
