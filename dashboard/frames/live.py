@@ -7,7 +7,7 @@ the recorder offers every step of a slow network and some steps of a fast one
 
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from threading import Thread
 from typing import Any
@@ -63,6 +63,38 @@ class _Pause(msgspec.Struct):
     steps_per_second: float = 0.0
 
 
+class _HeardEvents:
+    """The events that a page has, each as often as it came; `ask()` returns all of the run."""
+
+    def __init__(self, ask: Callable[[], Sequence[bytes]], hear: Callable[[bytes], None]) -> None:
+        self._ask, self._hear = ask, hear
+        self._known: Counter[bytes] = Counter()
+        self._asks = 0
+
+    def begin(self, events: Sequence[bytes]) -> None:
+        """Begin with the events before the page."""
+        self._known = Counter(events)
+
+    def take(self, event: bytes) -> None:
+        """Hear an event."""
+        self._known[event] += 1
+        self._hear(event)
+
+    def are_here(self, events: int) -> bool:
+        """Ask for events that a full link has dropped, where there have been so many; say whether
+        they are here, or were asked for in vain `_MOST_ASKS` times."""
+        if events <= self._known.total():
+            return True
+        known = self._known.copy()
+        for event in self._ask():
+            if known[event]:
+                known[event] -= 1
+            else:
+                self.take(event)
+        self._asks = (self._asks + 1) % _MOST_ASKS
+        return events <= self._known.total() or not self._asks
+
+
 class LiveNetwork:
     """A source of frames and a taker of commands; `endpoints` are all those of the network, `keys`
     a file of `concord keys` for one that is guarded. It refuses commands if it is `read_only`.
@@ -99,9 +131,7 @@ class LiveNetwork:
         self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
-        # The events that the page has, each as often as it came.
-        self._events: Counter[bytes] = Counter()
-        self._asks = 0
+        self._events = _HeardEvents(lambda: self._client.events(), self._assembler.hear)
         self._taking_over: Iterator[int] = iter(())
         self._taken: int | None = None
         self._take_over(standing.first_step)
@@ -161,12 +191,11 @@ class LiveNetwork:
         while self._heard:
             topic, data = self._heard.popleft()
             if topic == "event":
-                self._events[data] += 1
-                self._assembler.hear(data)
+                self._events.take(data)
                 continue
             with suppress(msgspec.MsgspecError):
                 step = msgspec.msgpack.decode(data, type=WholeStep)
-                if not self._catches_up(step.events):
+                if not self._events.are_here(step.events):
                     # Without its events the step would be drawn with the links of before.
                     self._heard.appendleft((topic, data))
                     break
@@ -176,26 +205,11 @@ class LiveNetwork:
 
     def _know(self, events: Sequence[bytes]) -> None:
         """Begin with the events before the page: the state of the network has them already."""
-        before = Counter(events)
+        before = set(events)
         for message in list(self._heard):
-            if message[0] == "event" and before[message[1]]:
+            if message[0] == "event" and message[1] in before:
                 self._heard.remove(message)
-        self._events = before
-
-    def _catches_up(self, events: int) -> bool:
-        """Ask for events that a full link has dropped, where there have been so many; say whether
-        they are here, or were asked for in vain `_MOST_ASKS` times."""
-        if events <= self._events.total():
-            return True
-        known = self._events.copy()
-        for event in self._client.events():
-            if known[event]:
-                known[event] -= 1
-            else:
-                self._events[event] += 1
-                self._assembler.hear(event)
-        self._asks = (self._asks + 1) % _MOST_ASKS
-        return events <= self._events.total() or not self._asks
+        self._events.begin(events)
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()
