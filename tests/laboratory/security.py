@@ -132,15 +132,21 @@ class _Guarded:
             session.close()
 
 
-def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
-    intruder = guarded.join(keys)
-    # The subscriptions of the other sessions must arrive before the first message is sent.
+def _write(
+    guarded: _Guarded, intruder: Transport, topics: tuple[str, ...], mark: bytes
+) -> Transport:
+    """Send, and return the session: one that ends takes along what has not left it."""
+    # The subscriptions of the other sessions must arrive before the first message is sent. The
+    # router hides them from some, who wait in vain.
+    matched = threading.Event()
+    intruder.listened(topics[0], lambda found: found and matched.set())
+    matched.wait(_JOIN_S)
     guarded.settle()
     for topic in topics:
         for _ in range(TRIES):
             intruder.send(topic, mark)
     guarded.settle()
-    intruder.close()
+    return intruder
 
 
 def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
@@ -161,9 +167,13 @@ def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
     marks = [str(number).encode() for number in range(len(plan))]
     marks[1] = b"1".ljust(MAX_FRAME_BYTES + 1)
     marks[2] = b"2".ljust(MAX_MESSAGE_BYTES + 1)
-    for (who, _, topics, _), mark in zip(plan, marks, strict=True):
-        _write_to(guarded, guarded.keys(who), topics, mark)
+    intruders = [
+        _write(guarded, guarded.join(guarded.keys(who)), topics, mark)
+        for (who, _, topics, _), mark in zip(plan, marks, strict=True)
+    ]
     counts = guarded.arrived()
+    for intruder in intruders:
+        intruder.close()
     attempts = []
     for (who, what, topics, wanted), mark in zip(plan, marks, strict=True):
         came = sum(counts.get((topic, mark), 0) for topic in topics)
@@ -181,7 +191,8 @@ def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     guarded.settle()
-    _write_to(guarded, guarded.keys(certificate_name(0)), ("share/0",), b"heard")
+    node = guarded.join(guarded.keys(certificate_name(0)))
+    _write(guarded, node, ("share/0",), b"heard")
     heard: queue.Queue[object] = queue.Queue()
 
     def listen() -> None:
@@ -191,6 +202,7 @@ def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     listening = threading.Thread(target=listen, daemon=True)
     listening.start()
     listening.join(_JOIN_S)
+    node.close()
     return [_attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)]
 
 
@@ -273,9 +285,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
         guest = enter()
     except LinkError:
         return 0
-    guarded.settle()
-    for _ in range(TRIES):
-        guest.send("share/0", b"guest")
+    _write(guarded, guest, ("share/0",), b"guest")
     came = guarded.arrived().get(("share/0", b"guest"), 0)
     guest.close()
     return came
