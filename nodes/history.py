@@ -10,6 +10,8 @@ from functools import cached_property
 from math import inf
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from concord.nodes.changes import Event, Fault, Gone, Joined, Left, PaceChange, Set
 from concord.nodes.faults.vocabulary import FAULTS
 
@@ -82,6 +84,13 @@ class History:
         begins, reaches = self._out.get(node, ((), ()))
         place = bisect_right(begins, step)
         return place == 0 or reaches[place - 1] <= step
+
+    def presence(self, steps: int, nodes: int) -> np.ndarray:
+        """Return which of so many nodes take part in the first steps, (steps, N)."""
+        found = np.ones((steps, nodes), dtype=bool)
+        for node, first, end, _ in self.absent_steps:
+            found[first:end, node] = False
+        return found
 
     def since(self, step: int) -> "History":
         """Return the history without those who were back before a step."""

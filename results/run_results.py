@@ -1,5 +1,6 @@
 """Results of a run from what it recorded: the trace, and the arrays and the capture made of it."""
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +15,15 @@ from concord.results.records.netcdf_file import CAPTURE, RECORDING
 from concord.results.records.runs import Runs
 from concord.results.records.runs_file import runs_arrays
 from concord.results.records.trace import Trace, read_trace
-from concord.runtime.recording import read_recording
+from concord.runtime.recording import MESSAGE_BYTES, read_recording
 from concord.scenarios.build import build_bus
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.innovations import HearsAll
 from concord.scenarios.moves import with_moves
 from concord.scenarios.scenario import require
 from concord.scenarios.setup import Setup
+
+_TOLD_EVERY_BYTES = 1 << 20
 
 
 class Captures(NamedTuple):
@@ -52,17 +55,35 @@ def check_captures(setup: Setup, captures: Captures) -> None:
         require(0 <= node <= last, "capture-nodes", node, f"a node of the network, 0 to {last}")
 
 
-def completed(folder: Path, description: Description) -> Trace:
+def completed(
+    folder: Path, description: Description, on_bytes: Callable[[int], None] = lambda _: None
+) -> Trace:
     """Return the trace of the steps that all nodes completed.
+
+    Args:
+        folder, description: of the run.
+        on_bytes: told the bytes of messages of the recording that are read.
 
     Raises:
         ValueError: there are none.
     """
     recording = recording_of(folder)
-    trace = read_trace(description.setup, read_recording(recording))
+    trace = read_trace(description.setup, _counted(read_recording(recording), on_bytes))
     if not trace.steps:
         raise ValueError(f"{recording}: the run ended before all nodes completed a step")
     return trace
+
+
+def _counted(
+    messages: Iterable[tuple[str, bytes]], on_bytes: Callable[[int], None]
+) -> Iterator[tuple[str, bytes]]:
+    read_bytes = told_bytes = 0
+    for topic, data in messages:
+        read_bytes += MESSAGE_BYTES + len(data)
+        if read_bytes - told_bytes >= _TOLD_EVERY_BYTES:
+            told_bytes = read_bytes
+            on_bytes(read_bytes)
+        yield topic, data
 
 
 def as_it_ran(description: Description, trace: Trace) -> Description:

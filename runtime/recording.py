@@ -26,6 +26,8 @@ from concord.scenarios.setup import Setup
 
 ORIGIN = "concord"
 """Name of the metadata record that says of which run a recording is."""
+MESSAGE_BYTES = 31
+"""Bytes of a recorded message beside its data: kind, length, channel, number and two times."""
 DAMAGE = "damage"
 """Topic of what stands for bytes of a recording that are no message."""
 

@@ -26,7 +26,13 @@ from concord.results.figures.summary_table import (
     title_of,
 )
 from concord.results.figures.timing_figures import TimingFigures, figures_of
-from concord.results.folder import WITHOUT_CODE, Description, read_shown, write_verdict
+from concord.results.folder import (
+    WITHOUT_CODE,
+    Description,
+    read_shown,
+    recording_of,
+    write_verdict,
+)
 from concord.results.innovations.presentation import channel_table
 from concord.results.records.netcdf_file import ARRAYS, RECORDING
 from concord.results.records.runs import runs_of_trace
@@ -54,9 +60,14 @@ from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.catalogue import is_received
 from concord.scenarios.user.trust import trust
 from concord.studies.alternative import BetterRule, labelled_beside
+from concord.studies.progress import progress
 
 CaptureCycles = Literal["used", "all"]
 """Cycles of the bus in a capture."""
+
+
+# Bits of a megabyte; a recording is long from about three seconds on.
+_MB, _LONG_MB = 20, 64
 
 
 class FiguresForm(NamedTuple):
@@ -107,7 +118,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
                 )
             check_smoothing(description.setup)
         finish_recording(options.folder / RECORDING)
-        trace = completed(options.folder, description)
+        trace = read_run(options.folder, description, options.json)
     figures = finish(
         options.folder,
         description,
@@ -118,6 +129,21 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
         options.smooth,
     )
     end_by(figures.verdict)
+
+
+def read_run(folder: Path, description: Description, as_json: bool) -> Trace:
+    """Return what a recording says; one that takes some time to read tells how far it is.
+
+    Raises:
+        ValueError: no step is complete.
+    """
+    total = recording_of(folder).stat().st_size >> _MB
+    if total < _LONG_MB:
+        return completed(folder, description)
+    with progress("MB of the recording", total, as_json=as_json) as on_mb:
+        trace = completed(folder, description, lambda read_bytes: on_mb(read_bytes >> _MB))
+        on_mb(total)
+    return trace
 
 
 def end_by(verdict: VerdictOnRuns) -> None:

@@ -12,7 +12,13 @@ import tyro
 from tyro.conf import UseAppendAction
 
 from concord.disk import RunFailed
-from concord.experiments.cli.collect import FiguresForm, ResultOptions, end_by, finish
+from concord.experiments.cli.collect import (
+    FiguresForm,
+    ResultOptions,
+    end_by,
+    finish,
+    read_run,
+)
 from concord.experiments.cli.help import FIRST
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
@@ -23,7 +29,7 @@ from concord.nodes.tempo import Tempo
 from concord.results.folder import BATCHED, Description, describe, make_folder, write_description
 from concord.results.places import new_name
 from concord.results.records.netcdf_file import RECORDING
-from concord.results.run_results import Captures, check_captures, completed
+from concord.results.run_results import Captures, check_captures
 from concord.results.smoothing import check_smoothing
 from concord.runtime.drivers import DRIVERS, RunPace, over_processes
 from concord.runtime.network.links import names, ports_from
@@ -106,7 +112,7 @@ def run(
         while True:
             pace = _watched(setup, output, description.run, folder, page)
             with user_errors():
-                trace = completed(folder, description)
+                trace = read_run(folder, description, output.json)
             shown = FiguresForm(output.json, output.verbose)
             found = finish(folder, description, trace, pace, shown, captures, output.smooth)
             if not page.stay():

@@ -153,7 +153,8 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
     for topic, data in messages:
         match meaning(topic, data, setup.scenario.nodes, bus.frame_format):
             case SharedFrame(node, fragment) if fragment.cycle < len(placed):
-                place = placed[fragment.cycle].get((node, fragment.frame_id))
+                # A frame that came twice is one.
+                place = placed[fragment.cycle].pop((node, fragment.frame_id), None)
                 if place is None:
                     continue
                 step = fragment.cycle // setup.scenario.rounds

@@ -1,5 +1,7 @@
 """The bus in the recording of a run: frames, requests and grants, message by message."""
 
+from array import array
+
 import numpy as np
 
 from concord.bus.bus import Fragment
@@ -10,62 +12,81 @@ from concord.nodes.messages import Bid, Grant
 class BusRecord:
     """Frames that the nodes of a network sent, and the slots that they asked for and got.
 
-    Lists of counts have a cycle, a node and a number each.
+    A message that came twice counts once. Counts are a cycle, a node and a number, one after the
+    other; those of bytes have a fourth number, which tells frames apart.
     """
 
-    def __init__(self, nodes: int) -> None:
-        self._nodes = nodes
+    def __init__(self, nodes: int, keeps_shares: bool) -> None:
+        """Args:
+        nodes: number of nodes.
+        keeps_shares: whether the contents of frames are kept too, for `whole_shares`.
+        """
+        self._nodes, self._keeps_shares = nodes, keeps_shares
         self._fragments: list[tuple[int, Fragment]] = []
-        self._payload_bytes: list[tuple[int, int, int]] = []
-        self._asked: list[tuple[int, int, int]] = []
-        self._classes: list[tuple[int, int, int]] = []
-        self._cut: list[tuple[int, int, int]] = []
+        self._payload_bytes, self._asked, self._classes, self._cut = (array("q") for _ in range(4))
 
     def note_frame(self, node: int, fragment: Fragment, payload_bytes: int) -> None:
         """Note a frame that a node sent."""
-        self._fragments.append((node, fragment))
-        self._payload_bytes.append((fragment.cycle, node, payload_bytes))
+        if self._keeps_shares:
+            self._fragments.append((node, fragment))
+        self._payload_bytes.extend((fragment.cycle, node, payload_bytes, hash(fragment)))
 
     def note_bid(self, bid: Bid) -> None:
         """Note that a node asked for a slot, if it did."""
         if bid.bid is not None:
-            self._asked.append((bid.cycle, bid.node, 1))
+            self._asked.extend((bid.cycle, bid.node, 1))
 
     def note_grant(self, grant: Grant) -> None:
         """Note which nodes got slots, and which only for the first frames of a share."""
         won = [(node, grant.urgency_class(node)) for node in grant.winners]
         cut = [(share.node, share.urgency_class) for share in grant.cut_shares.values()]
-        known = range(self._nodes)
-        self._classes += [(grant.cycle, *one) for one in won + cut if one[0] in known]
-        self._cut += [(grant.cycle, node, 1) for node, _ in cut if node in known]
+        for node, urgency_class in won + cut:
+            if node < self._nodes:
+                self._classes.extend((grant.cycle, node, urgency_class))
+        for node, _ in cut:
+            if node < self._nodes:
+                self._cut.extend((grant.cycle, node, 1))
 
     def whole_shares(self) -> list[tuple[int, Fragment]]:
         """Return the frames of shares that were not cut, by their nodes."""
-        cut = {(cycle, node) for cycle, node, _ in self._cut}
-        return [(node, part) for node, part in self._fragments if (part.cycle, node) not in cut]
+        cut = set(zip(self._cut[::3], self._cut[1::3], strict=True))
+        frames = dict.fromkeys(self._fragments)
+        return [(node, part) for node, part in frames if (part.cycle, node) not in cut]
 
     def payload_bytes(self, history: History, steps: int) -> np.ndarray:
         """Return the bytes of each node in complete steps, (steps, rounds, N)."""
-        return self._summed(self._payload_bytes, history, steps)
+        total = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
+        frames = np.frombuffer(self._payload_bytes, dtype=np.int64).reshape(-1, 4)
+        places, payload_bytes = _placed(np.unique(frames, axis=0), history, steps)
+        np.add.at(total, places, payload_bytes)
+        return total
 
     def classes(self, history: History, steps: int) -> np.ndarray:
         """Return the urgency class in which each node sent, (steps, rounds, N)."""
-        return self._summed(self._classes, history, steps)
+        return self._said(self._classes, history, steps)
 
     def cut(self, history: History, steps: int) -> np.ndarray:
         """Return whose shares were cut in complete steps, (steps, rounds, N)."""
-        return self._summed(self._cut, history, steps) > 0
+        return self._said(self._cut, history, steps) > 0
 
     def asked(self, history: History, steps: int) -> np.ndarray:
         """Return which node asked for a slot in complete steps, (steps, rounds, N)."""
-        return self._summed(self._asked, history, steps) > 0
+        return self._said(self._asked, history, steps) > 0
 
-    def _summed(
-        self, counted: list[tuple[int, int, int]], history: History, steps: int
-    ) -> np.ndarray:
-        total = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
-        for cycle, node, count in counted:
-            step, place = history.place(cycle)
-            if step < steps:
-                total[step, place, node] += count
-        return total
+    def _said(self, counted: "array[int]", history: History, steps: int) -> np.ndarray:
+        found = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
+        counts = np.frombuffer(counted, dtype=np.int64).reshape(-1, 3)
+        places, numbers = _placed(counts, history, steps)
+        found[places] = numbers
+        return found
+
+
+def _placed(
+    counts: np.ndarray, history: History, steps: int
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Return steps, rounds and nodes of the counts in complete steps, and their numbers."""
+    cycles, which = np.unique(counts[:, 0], return_inverse=True)
+    places = np.array([history.place(one) for one in cycles.tolist()], dtype=np.int64)
+    step, place = places.reshape(-1, 2)[which].T
+    known = step < steps
+    return (step[known], place[known], counts[known, 1]), counts[known, 2]

@@ -102,9 +102,9 @@ class Runs(NamedTuple):
         believes = np.logical_not(np.asarray(np.isnan(self.mean).all(axis=-1)))
         if self.history is None:
             return believes
-        steps, nodes = self.mean.shape[1:3]
-        is_in = [[self.history.is_in(i, k) for i in range(nodes)] for k in range(steps)]
-        return np.array(is_in)[None] & believes.any(axis=1, keepdims=True)
+        return self.history.presence(*self.mean.shape[1:3])[None] & believes.any(
+            axis=1, keepdims=True
+        )
 
     def of(self, place: slice) -> "Runs":
         """Return those of some of the runs."""

@@ -6,23 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.filters.linalg import unpack_upper
-from concord.nodes.changes import Event
 from concord.nodes.history import History, history_of, with_holes, without_lost_words
-from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
-from concord.results.bus.bus_record import BusRecord
 from concord.results.bus.sent_shares import SentShares
 from concord.results.records.extras import Past, RunExtra, run_extras
+from concord.results.records.heard_messages import HeardMessages
 from concord.results.records.record_spread import RecordSpread, record_spread
-from concord.runtime.recorded import SharedFrame, meaning
-from concord.runtime.recording import DAMAGE
-from concord.scenarios.bus_table.bus_definition import frame_format
+from concord.results.records.step_rows import StepRows
 from concord.scenarios.catalogue import beside_truth
 from concord.scenarios.preparation import with_settings
 from concord.scenarios.setup import Setup
 from concord.scenarios.types.rules import MeasurementFlooding, smoothing_lags
-
-Places = Container[tuple[int, int]]
-"""Steps and nodes of messages."""
 
 
 class Trace(NamedTuple):
@@ -90,50 +83,29 @@ class Trace(NamedTuple):
 
 def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     """The trace of recorded (topic, bytes); the order of messages does not matter."""
-    nodes = setup.scenario.nodes
-    truths: dict[int, Truth] = {}
-    measured: dict[tuple[int, int], Measured] = {}
-    estimates: dict[tuple[int, int], Estimate] = {}
-    on_bus = BusRecord(nodes)
-    events: list[Event] = []
-    timed, frames, damaged_bytes = False, frame_format(setup.scenario), 0
+    heard = HeardMessages(setup)
     for topic, data in messages:
-        damaged_bytes += int(data) if topic == DAMAGE else 0
-        match meaning(topic, data, nodes, frames):
-            case SharedFrame(node, fragment):
-                on_bus.note_frame(node, fragment, len(data) - frames.overhead_bytes)
-            case Truth() as message:
-                truths[message.step] = message
-            case Bid() as message:
-                on_bus.note_bid(message)
-            case Grant() as message:
-                on_bus.note_grant(message)
-            case Measured() as message:
-                measured[message.step, message.node] = message
-            case Estimate() as message:
-                estimates[message.step, message.node] = message
-            case Event() as message:
-                events.append(message)
-            case Timing():
-                timed = True
-    history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
-    if timed or damaged_bytes:
+        heard.note(topic, data)
+    scenario, recorded = setup.scenario, (heard.estimates, heard.measured)
+    history = history_of(scenario.rounds, heard.events)
+    history = without_lost_words(history, heard.estimates)
+    if heard.timed or heard.damaged_bytes:
         # Only then does a step count that lacks a message, its truth included.
-        steps = 1 + max((step for step, _ in estimates), default=-1)
-        history = with_holes(history, estimates.keys() & measured.keys(), nodes, steps)
+        steps = min(scenario.steps, heard.estimates.steps)
+        for rows in recorded:
+            history = with_holes(history, rows, scenario.nodes, steps)
     else:
-        steps = _whole_steps(history, nodes, truths, measured, estimates)
-    trace = _assemble(setup, history, steps, truths, measured, estimates, on_bus)
-    return trace._replace(damaged_bytes=damaged_bytes)
+        steps = _whole_steps(history, scenario.nodes, heard.truths, *recorded)
+    return _assemble(setup, history, steps, heard)
 
 
-def _whole_steps(history: History, nodes: int, truths: Container[int], *kept: Places) -> int:
+def _whole_steps(history: History, nodes: int, truths: Container[int], *kept: StepRows) -> int:
     """Return the number of steps with a truth and, in each of `kept`, a message of each member;
     also where all nodes are out in the last steps."""
     steps = 0
     while steps in truths and all(
-        (steps, node) in places
-        for places in kept
+        (steps, node) in rows
+        for rows in kept
         for node in range(nodes)
         if history.is_in(node, steps)
     ):
@@ -141,76 +113,61 @@ def _whole_steps(history: History, nodes: int, truths: Container[int], *kept: Pl
     return steps
 
 
-def _assemble(
-    setup: Setup,
-    history: History,
-    steps: int,
-    truths: dict[int, Truth],
-    measured: dict[tuple[int, int], Measured],
-    estimates: dict[tuple[int, int], Estimate],
-    on_bus: BusRecord,
-) -> Trace:
-    nodes, n = setup.scenario.nodes, len(setup.prior_mean)
-    mean = np.full((steps, nodes, n), np.nan)
-    packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
-    ages = np.full((steps, nodes, nodes), -1)
-    past, suspect = _nothing(setup, steps), np.zeros((steps, nodes), dtype=bool)
-    estimate_age_s, gap = np.full((2, steps, nodes), np.nan)
-    delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
-    readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
-    counters: list[dict[str, int]] = [{} for _ in range(nodes)]
-    controls: list[list[float] | None] = [None] * steps
-    neighbours = {
-        drawn_by: with_settings(setup, dict(drawn_by)).neighbours
-        for drawn_by in {epoch.drawn_by for epoch in history.epochs}
-    }
-    for k, i in np.ndindex(steps, nodes):
-        if not history.is_in(i, k):
-            continue
-        estimate = estimates[k, i]
-        mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
-        ages[k, i, i] = 0
-        ages[k, i, neighbours[history.drawn_by(k)][i]] = estimate.ages
-        counters[i], suspect[k, i] = estimate.counters, estimate.suspect
-        estimate_age_s[k, i] = np.nan if estimate.age_s is None else estimate.age_s
-        gap[k, i] = np.nan if estimate.gap is None else estimate.gap
-        if past is not None and estimate.smoothed and estimate.smoothed_std:
-            past.mean[k, :, i] = from_wire(estimate.smoothed)
-            past.std[k, :, i] = from_wire(estimate.smoothed_std)
-        readings[k, i] = from_wire(measured[k, i].readings)
-        controls[k] = measured[k, i].control
+def _assemble(setup: Setup, history: History, steps: int, heard: HeardMessages) -> Trace:
+    n, on_bus = len(setup.prior_mean), heard.on_bus
+    there = history.presence(steps, setup.scenario.nodes)
+    rows, read = heard.estimates.rows(there), heard.estimates.field
+    readings = heard.measured.field("readings", heard.measured.rows(there))
     truth = np.full((steps, len(setup.initial_state)), np.nan)
-    for k in truths.keys() & range(steps):
-        truth[k] = from_wire(truths[k].state)
-    mean = beside_truth(setup.scenario, mean, truth[:, None, :n])
+    for k in heard.truths.keys() & range(steps):
+        truth[k] = heard.truths[k]
+    mean = beside_truth(setup.scenario, read("mean", rows), truth[:, None, :n])
+    suspect, age_s, gap = read("suspect", rows) == 1, read("age_s", rows), read("gap", rows)
     extra, extras = None, run_extras(setup.scenario)
     if extras is not None:
-        told = {(k, i): one.tracks for (k, i), one in estimates.items() if history.is_in(i, k)}
+        told = {(k, i): heard.tracks[k, i] for k, i in np.argwhere(there).tolist()}
         extra = extras.read(setup, truth, told)
     return Trace(
         truth=truth if extra is None else truth[:, :n],
         readings=readings,
-        control=_control(controls),
+        control=_control([heard.controls.get(k) for k in range(steps)]),
         mean=mean,
-        cov=unpack_upper(packed),
-        ages=ages,
+        cov=unpack_upper(read("cov", rows)),
+        ages=_ages(setup, history, read("ages", rows)),
         payload_bytes=on_bus.payload_bytes(history, steps),
         asked=on_bus.asked(history, steps),
         classes=on_bus.classes(history, steps),
         cut=on_bus.cut(history, steps),
-        counters=counters,
+        counters=[heard.counters_in(of_node) for of_node in rows.T],
         history=history,
         spread=(
             record_spread(setup, on_bus.whole_shares(), readings)
             if steps and not history.changed
             else None
         ),
-        past=past,
+        past=_past(setup, heard.estimates, rows),
         suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
-        estimate_age_s=None if np.isnan(estimate_age_s).all() else estimate_age_s,
+        estimate_age_s=None if np.isnan(age_s).all() else age_s,
         extra=extra,
         duality_gap=None if np.isnan(gap).all() else gap,
+        damaged_bytes=heard.damaged_bytes,
     )
+
+
+def _ages(setup: Setup, history: History, told: np.ndarray) -> np.ndarray:
+    """Return the ages (steps, N, N) that nodes tell of their neighbours, (steps, N, at most N)."""
+    steps, nodes = told.shape[:2]
+    ages = np.full((steps, nodes, nodes), -1)
+    ends = (*(epoch.first_step for epoch in history.epochs[1:]), steps)
+    for epoch, end in zip(history.epochs, ends, strict=True):
+        neighbours = with_settings(setup, dict(epoch.drawn_by)).neighbours
+        for i, j in enumerate(neighbours):
+            of_node = told[epoch.first_step : end, i, : len(j)]
+            ages[epoch.first_step : end, i, j] = np.nan_to_num(of_node, nan=-1)
+    is_in = history.presence(steps, nodes)
+    for i in range(nodes):
+        ages[is_in[:, i], i, i] = 0
+    return ages
 
 
 def _control(told: list[list[float] | None]) -> np.ndarray | None:
@@ -221,10 +178,9 @@ def _control(told: list[list[float] | None]) -> np.ndarray | None:
     return np.array([np.full(max(sizes), np.nan) if one is None else one for one in told])
 
 
-def _nothing(setup: Setup, steps: int) -> Past | None:
-    """Return the past of a network that has estimated none yet."""
-    lags = smoothing_lags(setup.scenario.rule)
-    if not lags:
+def _past(setup: Setup, estimates: StepRows, rows: np.ndarray) -> Past | None:
+    """Return the smoothed states; None for rules that estimate none."""
+    if not smoothing_lags(setup.scenario.rule):
         return None
-    shape = (steps, lags, setup.scenario.nodes, len(setup.prior_mean))
-    return Past(np.full(shape, np.nan), np.full(shape, np.nan))
+    told = (estimates.field(name, rows) for name in ("smoothed", "smoothed_std"))
+    return Past(*(one.swapaxes(1, 2) for one in told))

@@ -1,5 +1,8 @@
 """A run as arrays: what the messages say, in whatever order they were recorded."""
 
+import tracemalloc
+
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +11,11 @@ from hypothesis import strategies as st
 from concord.bus.flexray.share_frames import read_frame
 from concord.nodes.changes import Event, Gone
 from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode, encode, from_wire
+from concord.results.bus.bus_capture import capture
+from concord.results.records.step_rows import StepRows
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
+from concord.runtime.recording import MESSAGE_BYTES
 from concord.studies.agree import first_difference
 from tests.experiments.support import small
 
@@ -17,6 +23,7 @@ SETUPS = {
     "full": small(steps=5),
     "in turns": small(steps=5, schedule="round-robin", occupancy=0.5, rounds=2),
     "contended": small(steps=5, schedule="hybrid", occupancy=0.5),
+    "labelled": small(steps=5, rule="labelled"),
     "one node": small(steps=3, nodes=1, graph="complete"),
 }
 MESSAGES = {name: in_memory(setup) for name, setup in SETUPS.items()}
@@ -136,3 +143,76 @@ def _is_of_last_step(topic: str, data: bytes) -> bool:
 
 def _is_late(topic: str, data: bytes) -> bool:
     return topic == "estimate/1" and decode(topic, data).step >= 2
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 5) | st.integers(0, 1 << 32),
+            st.integers(0, 2),
+            st.lists(st.none() | st.floats(-1, 1), min_size=1, max_size=3),
+        ),
+        max_size=60,
+    )
+)
+def test_rows_are_the_last_words_that_fit(told: list[tuple[int, int, list[float | None]]]):
+    rows, kept = StepRows(3, {"said": (2,), "number": ()}), {}
+    for number, (step, node, said) in enumerate(told):
+        assert rows.put(step, node, said=said, number=number) == (len(said) == 2)
+        if len(said) == 2:
+            kept[step, node] = [*said, number]
+    assert len(rows) == len(kept)
+    assert rows.steps == max((step + 1 for step, _ in kept), default=0)
+    there = np.ones((8, 3), dtype=bool)
+    there[2, 1] = False
+    places = rows.rows(there)
+    for step, node in np.ndindex(8, 3):
+        assert ((step, node) in rows) == ((step, node) in kept)
+        of_place = kept.get((step, node), [np.nan] * 3) if there[step, node] else [np.nan] * 3
+        expected = np.array(of_place, dtype=float)
+        np.testing.assert_array_equal(rows.field("said", places)[step, node], expected[:2])
+        np.testing.assert_array_equal(rows.field("number", places)[step, node], expected[2])
+
+
+def test_many_rows_lie_in_several_blocks():
+    rows = StepRows(2, {"number": ()})
+    for step in range(3000):
+        rows.put(step, 1, number=step)
+    found = rows.field("number", rows.rows(np.ones((3000, 2), dtype=bool)))
+    np.testing.assert_array_equal(found[:, 1], np.arange(3000))
+    assert np.isnan(found[:, 0]).all()
+
+
+def test_estimates_of_another_network_are_none():
+    setup, messages = SETUPS["full"], MESSAGES["full"]
+    foreign = [
+        encode(msgspec.structs.replace(decode(topic, data), **change))
+        for topic, data in messages
+        if topic == "estimate/1"
+        for change in ({"mean": [0.0]}, {"cov": [1.0, 0.0]}, {"ages": [0] * 9})
+    ]
+    trace = read_trace(setup, [*messages, *(("estimate/1", data) for data in foreign)])
+    assert first_difference(TRACES["full"], trace, "foreign") is None
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_a_message_that_came_twice_counts_once(name: str):
+    setup, once = SETUPS[name], TRACES[name]
+    twice = [message for message in MESSAGES[name] for _ in range(2)]
+    trace = read_trace(setup, twice)
+    assert first_difference(once, trace, "twice") is None
+    assert capture(setup, once, MESSAGES[name]) == capture(setup, trace, twice)
+    assert (trace.spread is None) == (name != "labelled")
+    for told_once, told_twice in zip(once.spread or (), trace.spread or (), strict=True):
+        np.testing.assert_array_equal(told_once, told_twice)
+
+
+def test_reading_takes_little_more_memory_than_the_recording_has_bytes():
+    setup = small(steps=300)
+    messages = in_memory(setup)
+    read_trace(setup, messages)
+    tracemalloc.start()
+    read_trace(setup, messages)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 2 * sum(MESSAGE_BYTES + len(data) for _, data in messages)
