@@ -121,15 +121,19 @@ class FlexRayBus(SlottedBus):
     def transmissions(
         self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
     ) -> tuple[Transmission, ...]:
-        """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one."""
+        """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one.
+
+        A recording also has what a stranger sent in the name of a node. Frames without a slot or
+        room in the segment are not on the bus.
+        """
         static = _filled(self._owned[cycle % len(self._owned)], payload_bytes)
         own = self.schedule.static_senders(cycle)
         winners = [
-            Request(node, self.slots(node, cycle)[urgency_class][0].frame_id, size)
+            Request(node, slots[urgency_class][0].frame_id, size)
             for node, (size, urgency_class) in enumerate(
                 zip_longest(payload_bytes, classes, fillvalue=0)
             )
-            if size and node not in own
+            if size and node not in own and urgency_class < len(slots := self.slots(node, cycle))
         ]
         number = self.timebase.bus_cycle(cycle)
         due = [slot for slot in self.others if slot.sends(number)]

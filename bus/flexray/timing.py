@@ -38,18 +38,9 @@ def static_transmissions(
 def dynamic_transmissions(
     cluster: Cluster, winners: Iterable[Request], channel: str = ""
 ) -> tuple[Transmission, ...]:
-    """Dynamic frames of an arbiter's winners on a channel, without one on all of the cluster: each
-    begins at the action point of its minislot.
-
-    Raises ValueError if they do not all fit into the segment.
-    """
-    placed, waiting = walk(cluster, winners)
-    if waiting:
-        ids = ", ".join(str(request.frame_id) for request in waiting)
-        raise ValueError(
-            f"the dynamic segment of cluster {cluster.name!r} has no time for frame IDs {ids}; "
-            "let an arbiter choose the winners"
-        )
+    """Dynamic frames on a channel, without one on all of the cluster: each begins at the action
+    point of its minislot. Those that find no room in the segment wait, and are left out."""
+    placed, _ = walk(cluster, winners)
     starts = [
         (frame, cluster.minislot_start_us(frame.minislot) + cluster.minislot_action_point_us)
         for frame in placed

@@ -1,6 +1,7 @@
 """A run as arrays: what the messages say, in whatever order they were recorded."""
 
 import tracemalloc
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import strategies as st
 from concord.bus.flexray.share_frames import read_frame
 from concord.nodes.changes import Event, Gone
 from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode, encode, from_wire
-from concord.results.bus.bus_capture import capture
+from concord.results.bus.bus_capture import capture, in_order
+from concord.results.bus.bus_times import timetable
 from concord.results.records.step_rows import StepRows
 from concord.results.records.trace import Trace, read_trace
 from concord.runtime.drivers import in_memory
 from concord.runtime.recording import MESSAGE_BYTES
+from concord.scenarios.build import build_bus
 from concord.studies.agree import first_difference
 from tests.experiments.support import small
 
@@ -216,3 +219,35 @@ def test_reading_takes_little_more_memory_than_the_recording_has_bytes():
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 2 * sum(MESSAGE_BYTES + len(data) for _, data in messages)
+
+
+BUSES = {
+    **SETUPS,
+    "can-fd": small(steps=5, bus="can-fd", schedule="dynamic", occupancy=0.5),
+    "plca": small(steps=5, bus="plca"),
+}
+
+
+@pytest.mark.parametrize("name", [name for name in BUSES if name != "one node"])
+@pytest.mark.parametrize("shift", [1, 2])
+def test_frames_in_the_name_of_another_node_are_read(name: str, shift: int):
+    """A recorder hears every sender; such frames may have no slot, or no room in the segment."""
+    setup = BUSES[name]
+    messages = in_memory(setup)
+    for place, (topic, data) in enumerate(messages):
+        kind, _, node = topic.partition("/")
+        if kind == "share":
+            forged = (f"share/{(int(node) + shift) % setup.scenario.nodes}", data)
+            messages[place : place + 1] = [(topic, data), forged] if place % 2 else [forged]
+        elif kind == "grant":
+            words = data[:-1] + b',"classes":[300]}'
+            messages[place] = (topic, words if b"classes" not in data else data)
+    trace = read_trace(setup, messages)
+    assert trace.steps == setup.scenario.steps
+    captured = capture(setup, trace, messages)
+    bus = build_bus(setup)
+    for cycle, row in enumerate(timetable(bus, trace.sent)):
+        ends = sorted((frame.start_us, frame.end_us) for frame in row)
+        assert all(before[1] <= after[0] for before, after in pairwise(ends)), cycle
+        assert not ends or name not in SETUPS or ends[-1][1] <= bus.cycle_us
+    assert captured is None or captured == in_order(captured)

@@ -78,10 +78,6 @@ class SlotCounters:
         found: list[Transmission] = []
         for channel, own, beside in self._counted(requests, due):
             asked = [*own, *requests_of(beside, self._cluster)]
-            if beside:
-                # Frames of other stations that find no room wait; the arbiter let no node in.
-                waiting = walk(self._cluster, asked).waiting
-                asked = [one for one in asked if one not in waiting]
             frames = dynamic_transmissions(self._cluster, asked, channel)
             found += [frame for frame in frames if frame.node in self._channel_of]
         return tuple(found)
