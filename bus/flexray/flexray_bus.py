@@ -121,11 +121,8 @@ class FlexRayBus(SlottedBus):
     def transmissions(
         self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
     ) -> tuple[Transmission, ...]:
-        """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one.
-
-        A recording also has what a stranger sent in the name of a node. Frames without a slot or
-        room in the segment are not on the bus.
-        """
+        """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one;
+        those without a slot, or room in the segment, are left out."""
         static = _filled(self._owned[cycle % len(self._owned)], payload_bytes)
         own = self.schedule.static_senders(cycle)
         winners = [
@@ -135,8 +132,7 @@ class FlexRayBus(SlottedBus):
             )
             if size and node not in own and urgency_class < len(slots := self.slots(node, cycle))
         ]
-        number = self.timebase.bus_cycle(cycle)
-        due = [slot for slot in self.others if slot.sends(number)]
+        due = [slot for slot in self.others if slot.sends(self.timebase.bus_cycle(cycle))]
         return (*static, *self._counters.transmissions(winners, due))
 
     def null_frames(
