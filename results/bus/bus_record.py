@@ -8,12 +8,14 @@ from concord.bus.bus import Fragment
 from concord.nodes.history import History
 from concord.nodes.messages import Bid, Grant
 
+# Rows are looked through for repeats when so many numbers are kept.
+_FIRST_LIMIT = 1 << 18
+
 
 class BusRecord:
     """Frames that the nodes of a network sent, and the slots that they asked for and got.
 
-    A message that came twice counts once. Counts are a cycle, a node and a number, one after the
-    other; those of bytes have a fourth number, which tells frames apart.
+    Rows have a cycle, a node and a number; those of bytes also one that tells frames apart.
     """
 
     def __init__(self, nodes: int, keeps_shares: bool) -> None:
@@ -23,18 +25,19 @@ class BusRecord:
         """
         self._nodes, self._keeps_shares = nodes, keeps_shares
         self._fragments: list[tuple[int, Fragment]] = []
-        self._payload_bytes, self._asked, self._classes, self._cut = (array("q") for _ in range(4))
+        self._payload_bytes = _Rows(4)
+        self._asked, self._classes, self._cut = (_Rows(3) for _ in range(3))
 
     def note_frame(self, node: int, fragment: Fragment, payload_bytes: int) -> None:
         """Note a frame that a node sent."""
         if self._keeps_shares:
             self._fragments.append((node, fragment))
-        self._payload_bytes.extend((fragment.cycle, node, payload_bytes, hash(fragment)))
+        self._payload_bytes.add(fragment.cycle, node, payload_bytes, hash(fragment))
 
     def note_bid(self, bid: Bid) -> None:
         """Note that a node asked for a slot, if it did."""
         if bid.bid is not None:
-            self._asked.extend((bid.cycle, bid.node, 1))
+            self._asked.add(bid.cycle, bid.node, 1)
 
     def note_grant(self, grant: Grant) -> None:
         """Note which nodes got slots, and which only for the first frames of a share."""
@@ -42,22 +45,21 @@ class BusRecord:
         cut = [(share.node, share.urgency_class) for share in grant.cut_shares.values()]
         for node, urgency_class in won + cut:
             if node < self._nodes:
-                self._classes.extend((grant.cycle, node, urgency_class))
+                self._classes.add(grant.cycle, node, urgency_class)
         for node, _ in cut:
             if node < self._nodes:
-                self._cut.extend((grant.cycle, node, 1))
+                self._cut.add(grant.cycle, node, 1)
 
     def whole_shares(self) -> list[tuple[int, Fragment]]:
         """Return the frames of shares that were not cut, by their nodes."""
-        cut = set(zip(self._cut[::3], self._cut[1::3], strict=True))
+        cut = {(cycle, node) for cycle, node, _ in self._cut.once().tolist()}
         frames = dict.fromkeys(self._fragments)
         return [(node, part) for node, part in frames if (part.cycle, node) not in cut]
 
     def payload_bytes(self, history: History, steps: int) -> np.ndarray:
         """Return the bytes of each node in complete steps, (steps, rounds, N)."""
         total = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
-        frames = np.frombuffer(self._payload_bytes, dtype=np.int64).reshape(-1, 4)
-        places, payload_bytes = _placed(np.unique(frames, axis=0), history, steps)
+        places, payload_bytes = _placed(self._payload_bytes.once(), history, steps)
         np.add.at(total, places, payload_bytes)
         return total
 
@@ -73,12 +75,30 @@ class BusRecord:
         """Return which node asked for a slot in complete steps, (steps, rounds, N)."""
         return self._said(self._asked, history, steps) > 0
 
-    def _said(self, counted: "array[int]", history: History, steps: int) -> np.ndarray:
+    def _said(self, rows: "_Rows", history: History, steps: int) -> np.ndarray:
         found = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
-        counts = np.frombuffer(counted, dtype=np.int64).reshape(-1, 3)
-        places, numbers = _placed(counts, history, steps)
+        places, numbers = _placed(rows.once(), history, steps)
         found[places] = numbers
         return found
+
+
+class _Rows:
+    """Rows of whole numbers; one that came twice counts once."""
+
+    def __init__(self, width: int) -> None:
+        self._width, self._numbers, self._limit = width, array("q"), _FIRST_LIMIT
+
+    def add(self, *row: int) -> None:
+        """Keep a row."""
+        self._numbers.extend(row)
+        if len(self._numbers) > self._limit:
+            self._numbers = array("q", self.once().tobytes())
+            self._limit = max(_FIRST_LIMIT, 2 * len(self._numbers))
+
+    def once(self) -> np.ndarray:
+        """Return the different rows in ascending order, (rows, width)."""
+        rows = np.frombuffer(self._numbers, dtype=np.int64).reshape(-1, self._width)
+        return np.unique(rows, axis=0)
 
 
 def _placed(

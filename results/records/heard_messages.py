@@ -1,7 +1,5 @@
 """The messages of a recording, kept as numbers until its steps are known."""
 
-from array import array
-
 import numpy as np
 
 from concord.nodes.changes import Event
@@ -52,7 +50,7 @@ class HeardMessages:
                 "suspect": (),
                 "age_s": (),
                 "gap": (),
-                "counters": (2,),
+                "names": (),
                 "smoothed": lags,
                 "smoothed_std": lags,
             },
@@ -63,8 +61,8 @@ class HeardMessages:
         self.on_bus = BusRecord(nodes, isinstance(setup.scenario.rule, FloodingRule))
         self.events: list[Event] = []
         self.timed, self.damaged_bytes = False, 0
-        self._names: dict[tuple[str, ...], int] = {}
-        self._counts = array("q")
+        # By the names of the counters, which are few in number.
+        self._counts: dict[tuple[str, ...], StepRows] = {}
 
     def note(self, topic: str, data: bytes) -> None:
         """Note a message, or pass over bytes that are none."""
@@ -104,7 +102,9 @@ class HeardMessages:
     def _note_estimate(self, message: Estimate) -> None:
         nodes = self._setup.scenario.nodes
         past = {"smoothed": message.smoothed, "smoothed_std": message.smoothed_std}
-        names = self._names.setdefault(tuple(message.counters), len(self._names))
+        names = tuple(message.counters)
+        if names not in self._counts:
+            self._counts[names] = StepRows(nodes, {"counts": (len(names),)})
         is_kept = self.estimates.put(
             message.step,
             message.node,
@@ -114,11 +114,12 @@ class HeardMessages:
             suspect=message.suspect,
             age_s=message.age_s,
             gap=message.gap,
-            counters=(names, len(self._counts)),
+            names=list(self._counts).index(names),
             **{name: told for name, told in past.items() if told},
         )
         if is_kept:
-            self._counts.extend(message.counters.values())
+            counts = list(message.counters.values())
+            self._counts[names].put(message.step, message.node, counts=counts)
             if self._has_tracks:
                 self.tracks[message.step, message.node] = message.tracks
 
@@ -128,11 +129,14 @@ class HeardMessages:
         most = max(self._measured.values(), key=len, default=None)
         return most or StepRows(self._setup.scenario.nodes, {"readings": (0, 0)})
 
-    def counters_in(self, rows: np.ndarray) -> dict[str, int]:
-        """Return the counters in the last of a node's rows (steps,); none without a row."""
-        own = rows[rows >= 0]
-        if not own.size:
+    def counters(self, node: int, there: np.ndarray) -> dict[str, int]:
+        """Return the counters in the last estimate of a node in steps that are `there` (steps,);
+        none without an estimate."""
+        last = max(
+            (k for k in np.flatnonzero(there).tolist() if (k, node) in self.estimates), default=None
+        )
+        if last is None:
             return {}
-        place, first = self.estimates.field("counters", own[-1:, None])[0, 0].astype(int)
-        names = list(self._names)[place]
-        return dict(zip(names, self._counts[first : first + len(names)], strict=True))
+        names = list(self._counts)[int(self.estimates.row(last, node)["names"])]
+        counts = self._counts[names].row(last, node)["counts"]
+        return dict(zip(names, counts.astype(int).tolist(), strict=True))

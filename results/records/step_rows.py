@@ -42,11 +42,16 @@ class StepRows:
             places = self._places[step] = array("q", [-1] * self._nodes)
         if places[node] < 0:
             places[node] = self._new_row()
-        first, block = next(one for one in self._with_firsts(newest=True) if one[0] <= places[node])
-        row = block[places[node] - first]
+        row = self.row(step, node)
         for name in self._shapes:
             row[name] = values.get(name, np.nan)
         return True
+
+    def row(self, step: int, node: int) -> Any:
+        """Return the fields of a row that is kept."""
+        place = self._places[step][node]
+        first, block = next(one for one in self._with_firsts(newest=True) if one[0] <= place)
+        return block[place - first]
 
     def _new_row(self) -> int:
         if self._rows == self._room:

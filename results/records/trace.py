@@ -138,7 +138,7 @@ def _assemble(setup: Setup, history: History, steps: int, heard: HeardMessages) 
         asked=on_bus.asked(history, steps),
         classes=on_bus.classes(history, steps),
         cut=on_bus.cut(history, steps),
-        counters=[heard.counters_in(of_node) for of_node in rows.T],
+        counters=[heard.counters(i, there[:, i]) for i in range(setup.scenario.nodes)],
         history=history,
         spread=(
             record_spread(setup, on_bus.whole_shares(), readings)
