@@ -151,6 +151,8 @@ def traffic_of(setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
     frames: list[FrameOnBus] = []
     events: list[Event] = []
     for topic, data in messages:
+        if topic.partition("/")[0] not in ("share", "event"):
+            continue
         match meaning(topic, data, setup.scenario.nodes, bus.frame_format):
             case SharedFrame(node, fragment) if fragment.cycle < len(placed):
                 # A frame that came twice is one.
