@@ -69,3 +69,13 @@ def inverse_of_triangle(factor: np.ndarray) -> np.ndarray:
             below = np.einsum("kl,kjl->jl", factor[i, :i], inverse[:i, :i])
             np.multiply(below, -pivot, out=inverse[i, :i])
     return inverse
+
+
+def squared(triangle: np.ndarray) -> np.ndarray:
+    """Products W' W (n, n, L) of lower triangular matrices W."""
+    product = np.empty(triangle.shape)
+    for i in range(len(triangle)):
+        # Row i of W' W has column i of W as its factor, which begins at row i.
+        np.einsum("kl,kjl->jl", triangle[i:, i], triangle[i:, : i + 1], out=product[i, : i + 1])
+        product[:i, i] = product[i, :i]
+    return product

@@ -63,7 +63,14 @@ def factor_and_inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the results of `cholesky` and `inverse_spd` for little more than the second costs."""
     factor = cholesky(matrix)
     whitener = inverse_of_triangle(factor)
-    return factor, np.einsum("...ki,...kj->...ij", whitener, whitener)
+    return factor, squared(whitener)
+
+
+def squared(triangle: np.ndarray) -> np.ndarray:
+    """Products W' W (..., n, n) of lower triangular matrices W (..., n, n)."""
+    if columns.serves(triangle):
+        return in_rows(columns.squared(in_columns(triangle, 2)), triangle.shape[:-2])
+    return np.einsum("...ki,...kj->...ij", triangle, triangle)
 
 
 def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -4,10 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.fusion.averaging import Directly, Fused, covariance_intersection
-from concord.filters.fusion.hold import check_weights, inverse_volume, times_inverse_volume
-from concord.filters.gaussian import Gaussian, joined
-from concord.filters.linalg import inverse_spd, multiply
+from concord.filters.fusion.averaging import Fused, near_sharpest
+from concord.filters.fusion.hold import (
+    check_weights,
+    inverse_volume_of_factor,
+    times_inverse_volume,
+)
+from concord.filters.gaussian import Gaussian, Information, to_gaussian
+from concord.filters.linalg import factor_and_inverse, inverse_spd, lanes_last, symmetrise
 
 # Many more steps would give some neighbours all the weight, and others none.
 _STEPS = 5
@@ -36,32 +40,55 @@ class SharpIntersection(NamedTuple):
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Implement `Averaged.fuse`; the weights of the result are those after the steps."""
-        covs = joined(own, others).cov
+        # With the axis of neighbours first, sums over it are passes along the lanes.
+        means = np.concatenate((own.mean[None], _neighbours_first(others.mean, -2)))
+        covs = np.concatenate((own.cov[None], _neighbours_first(others.cov, -3)))
+        factor, information = factor_and_inverse(covs)
+        inverse_volume = _neighbours_last(inverse_volume_of_factor(factor), -1)
         if by_inverse_volume:
-            weights = times_inverse_volume(weights, inverse_volume(covs))
-        average = Directly(covariance_intersection)
-        return average.fuse(own, others, sharpened(covs, weights), False)
+            weights = times_inverse_volume(weights, inverse_volume)
+        else:
+            weights = np.broadcast_to(weights, inverse_volume.shape)
+        check_weights(weights)
+        w = np.ascontiguousarray(_neighbours_first(weights, -1))
+        if np.count_nonzero(w) < w.size:
+            # A product of 0 and NaN is NaN.
+            unused = (w == 0)[..., None]
+            np.copyto(information, 0.0, where=unused[..., None])
+            means = np.where(unused, 0.0, means)
+        w = sharpened(information, w)
+        weights = _neighbours_last(w, -1)
+        origin = near_sharpest(_neighbours_last(means, -2), inverse_volume, weights)
+        offsets = lanes_last(w[..., None] * (means - origin), 1)
+        vector = np.einsum("j...ab,j...b->...a", information, offsets)
+        mean, cov = to_gaussian(Information(vector, _average(information, w)))
+        return Fused(Gaussian(origin + mean, symmetrise(cov)), weights, inverse_volume)
 
 
-def sharpened(covs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weights (..., J) after the steps, for covariances (..., J, n, n).
+def sharpened(information: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weights (J, ...) after the steps, for information matrices P_j^-1 (J, ..., n, n).
 
-    Entries of weight zero may be anything, NaN included.
-
-    Raises:
-        ValueError: a weight is negative, or they do not sum to 1.
+    The matrices of weight zero are zero.
     """
-    check_weights(weights)
-    states = covs.shape[-1]
-    unused = (weights == 0)[..., None, None]
-    if unused.any():
-        covs = np.where(unused, np.eye(states), covs)
-    information = inverse_spd(covs)
-    # With rows of all entries, both sums are products of one matrix and one vector.
-    rows = information.reshape(*information.shape[:-2], states * states)
+    states = information.shape[-1]
     for _ in range(_STEPS):
-        average = multiply(rows.mT, weights)
-        fused = inverse_spd(average.reshape(*average.shape[:-1], states, states))
-        weights = weights * multiply(rows, fused.reshape(average.shape)) / states
+        fused = inverse_spd(_average(information, weights))
+        # The trace of a product of symmetric matrices is the sum of products of their entries.
+        traces = np.einsum("j...ab,...ab->j...", information, fused)
+        weights = weights * traces / states
     # Their sum is 1 but for rounding.
-    return weights / weights.sum(axis=-1, keepdims=True)
+    return weights / np.add.reduce(weights)
+
+
+def _average(information: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The sum of w_j P_j^-1 (..., n, n)."""
+    return np.einsum("j...ab,j...->...ab", information, weights)
+
+
+def _neighbours_first(values: np.ndarray, axis: int) -> np.ndarray:
+    # A node has no other axis, and `moveaxis` takes longer than a sum of its arrays.
+    return values if values.ndim == -axis else np.moveaxis(values, axis, 0)
+
+
+def _neighbours_last(values: np.ndarray, axis: int) -> np.ndarray:
+    return values if values.ndim == -axis else np.moveaxis(values, 0, axis)

@@ -1,10 +1,12 @@
 """Covariance intersection with sharper weights: bounds of its determinant, units, consistency."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.filters.fusion.averaging import covariance_intersection
+from concord.filters.columns import MANY_LANES
+from concord.filters.fusion.averaging import Fused, covariance_intersection
 from concord.filters.fusion.determinant_intersection import determinant_intersection
 from concord.filters.fusion.sharp_intersection import SharpIntersection
 from concord.filters.gaussian import Gaussian
@@ -27,6 +29,48 @@ def neighbourhood(rng: np.random.Generator, count: int, states: int) -> tuple[Ga
     covs = factors @ factors.mT + 1e-3 * np.eye(states)
     weights = rng.dirichlet(np.ones(count), size=5)
     return Gaussian(rng.normal(size=(5, count, states)), covs), weights
+
+
+@given(SEEDS, st.integers(1, 6), st.integers(1, 5))
+def test_the_weights_are_five_steps_of_titterington(seed, count, states):
+    beliefs, weights = neighbourhood(np.random.default_rng(seed), count, states)
+    own = Gaussian(beliefs.mean[:, 0], beliefs.cov[:, 0])
+    others = Gaussian(beliefs.mean[:, 1:], beliefs.cov[:, 1:])
+    found = SharpIntersection().fuse(own, others, weights, False).weights
+    for lane, w in enumerate(weights):
+        information = np.linalg.inv(beliefs.cov[lane])
+        for _ in range(5):
+            fused = np.linalg.inv(np.tensordot(w, information, 1))
+            w = w * np.trace(fused @ information, axis1=-2, axis2=-1) / states
+        np.testing.assert_allclose(found[lane], w, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("by_inverse_volume", [False, True])
+def test_many_lanes_give_what_a_node_gives(by_inverse_volume):
+    """Lanes on two axes, in two orders of memory, a share of weight zero among them."""
+    rng = np.random.default_rng(3)
+    parts = [neighbourhood(rng, 4, 5) for _ in range(MANY_LANES)]
+    means, covs = (np.stack([part[0][field] for part in parts]) for field in range(2))
+    weights = np.stack([part[1] for part in parts])
+    weights[1, 2] = 0.5, 0.0, 0.5, 0.0
+    covs[1, 2, 1] = np.nan
+
+    def fused(means: np.ndarray, covs: np.ndarray, weights: np.ndarray) -> Fused:
+        own = Gaussian(means[..., 0, :], covs[..., 0, :, :])
+        others = Gaussian(means[..., 1:, :], covs[..., 1:, :, :])
+        return SharpIntersection().fuse(own, others, weights, by_inverse_volume)
+
+    many = fused(means, covs, weights)
+    turned = fused(*(np.asfortranarray(array) for array in (means, covs, weights)))
+    np.testing.assert_array_equal(turned.belief.cov, many.belief.cov)
+    np.testing.assert_array_equal(turned.belief.mean, many.belief.mean)
+    for lane in np.ndindex(weights.shape[:-1]):
+        one = fused(means[lane], covs[lane], weights[lane])
+        np.testing.assert_allclose(many.weights[lane], one.weights, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(many.belief.mean[lane], one.belief.mean, rtol=1e-8, atol=1e-9)
+        scale = np.abs(one.belief.cov).max()
+        np.testing.assert_allclose(many.belief.cov[lane], one.belief.cov, atol=1e-9 * scale)
+        np.testing.assert_allclose(many.inverse_volume[lane], one.inverse_volume, rtol=1e-10)
 
 
 @given(SEEDS, st.integers(1, 6), st.integers(1, 5))
