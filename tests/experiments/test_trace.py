@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.share_frames import read_frame
+from concord.dashboard.frames.source import assembled
+from concord.dashboard.frames.stage import set_stage
 from concord.nodes.changes import Event, Gone
 from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode, encode, from_wire
 from concord.results.bus.bus_capture import capture, in_order
@@ -251,3 +253,4 @@ def test_frames_in_the_name_of_another_node_are_read(name: str, shift: int):
         assert all(before[1] <= after[0] for before, after in pairwise(ends)), cycle
         assert not ends or name not in SETUPS or ends[-1][1] <= bus.cycle_us
     assert captured is None or captured == in_order(captured)
+    assert len(list(assembled(set_stage(setup), messages))) == trace.steps
