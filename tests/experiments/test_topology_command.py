@@ -14,8 +14,6 @@ from concord.topology.graph_files import read_network
 from tests.experiments.command_support import concord
 from tests.experiments.support import small
 
-pytestmark = pytest.mark.slow
-
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 
 
@@ -29,6 +27,7 @@ def answer(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
 def test_the_lab_converges_as_predicted(answer):
     report = answer(f"analyse {LAB} --seed 3")
@@ -84,6 +83,7 @@ def test_of_a_large_network_those_are_taken_away_that_are_likely_to_hurt(tmp_pat
     assert losses_of(1) == 0 and losses_of(150) == 150 and losses_of(10_000) == 20
 
 
+@pytest.mark.slow
 def test_what_is_measured_too_early_is_told():
     early = convergence(subject_of("path", SubjectOptions(nodes=500)), seed=4)
     assert early.rounds < early.rounds_to_settle and early.rate_difference_percent is not None
@@ -160,7 +160,7 @@ def test_a_report_says_how_a_file_was_read(answer, tmp_path: Path):
     assert len(report["notes"]) == 1 and "(3.5 to 12.5) are not used" in report["notes"][0]
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
+@pytest.mark.parametrize("suffix", [".png", pytest.param(".svg", marks=pytest.mark.slow)])
 def test_pictures_are_drawn(answer, tmp_path: Path, suffix: str):
     for source in ("ring --nodes 6", "geometric --nodes 9", "--scenario target-tracking"):
         name = f"{len(list(tmp_path.iterdir()))}{suffix}"
