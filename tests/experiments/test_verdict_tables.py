@@ -1,14 +1,18 @@
 """Verdicts from figures alone: which cause, which level and which words follow from numbers."""
 
+from math import exp, gamma, pi, sqrt
+
 import numpy as np
 import pytest
+from scipy import integrate, stats
 
 from concord.results.figures.intervals import Interval
 from concord.results.innovations.channel_test import ChannelTest
 from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
+from concord.results.innovations.gates import mean_behind_gate
 from concord.results.outages import NodeOutage
-from concord.results.verdict.findings import Finding
-from concord.results.verdict.honesty import honesty
+from concord.results.verdict.findings import Finding, VerdictLevel, beyond, verdict_of
+from concord.results.verdict.honesty import honesty, outside_in_words, times_claimed
 from concord.scenarios.scenario_definition import Explanation
 from tests.experiments.support import scenario
 
@@ -51,6 +55,19 @@ def test_estimates_are_judged_by_their_intervals_about_one(
     assert found.said.startswith(f"{cause}: ") and words in found.said
     assert found.cure == ("use --steps 77" if cause == "too short" else "")
     assert (found.node, found.sensor) == (None, None)
+
+
+def test_too_few_readings_are_no_verdict():
+    found = told(Diagnosis(Cause.UNKNOWN), HIGH, HIGH)
+    assert (found.level, found.cause, found.cure) == ("CHECK", "too short", "use --steps 77")
+
+
+def test_an_error_that_all_sensors_share_shows_in_no_reading():
+    found = told(Diagnosis(Cause.NONE), RIGHT, HIGH, best=Interval(3.0, 2.0, 4.0))
+    assert (found.level, found.cause) == ("CHECK", "hidden error")
+    assert "NIS 1.02" in found.said and "ANEES 3 where 1 is right" in found.said
+    # It is the rule's doing where the filter that hears everything is right.
+    assert told(Diagnosis(Cause.NONE), RIGHT, HIGH, best=RIGHT).cause == "overconfident"
 
 
 def channel_test(nis: Interval, shift: float = 0.0, mean: float = 0.0) -> ChannelTest:
@@ -136,6 +153,65 @@ def test_errors_of_estimates_weigh_more_than_innovations():
     assert told(large, explained=known).said.endswith("; errors are known")
 
 
+def test_what_a_plant_explains_takes_the_place_of_the_cause_in_a_channel():
+    explained = Explanation(cause="the road is steep", misread="the file is misread")
+    large = Diagnosis(Cause.NOISE_TOO_SMALL, YAW, channel_test(HIGH))
+    assert told(large, explained=explained).said.endswith("right; the road is steep")
+    absurd = large._replace(test=channel_test(Interval(101.0, 90.0, 110.0)))
+    assert told(absurd, explained=explained).said.endswith("right; the file is misread")
+    none = told(Diagnosis(Cause.NONE), explained=explained)
+    assert none.cause == "undecided" and none.said.endswith("yet the road is steep")
+
+
+def test_the_largest_offset_elsewhere_is_told_beside_the_cause():
+    other = Channel(0, 0, 0, "speed", "m/s"), channel_test(RIGHT, 0.75, -3.0)
+    found = told(Diagnosis(Cause.COLOURED, YAW, channel_test(RIGHT), 0, other))
+    assert found.said.startswith("biased: ")
+    assert "besides, node 0's speed reads -3 m/s (95 %: -3.1 to -2.9) off" in found.said
+    small = other[0], channel_test(RIGHT, 0.5, -3.0)
+    assert (
+        told(Diagnosis(Cause.COLOURED, YAW, channel_test(RIGHT), 0, small)).said[:8] == "coloured"
+    )
+
+
+def test_the_gravest_finding_comes_first_and_else_the_order_stays():
+    levels: list[VerdictLevel] = ["WORKS", "CHECK", "FAILED", "CHECK", "FAILED"]
+    findings = [
+        Finding(level=level, cause=str(place), said=f"said {place}", cure="cure" * (place % 2))
+        for place, level in enumerate(levels)
+    ]
+    found = verdict_of(findings)
+    assert [one.cause for one in found.findings] == ["2", "4", "1", "3", "0"]
+    assert (found.level, found.cause, found.said) == ("FAILED", "2", "said 2") and found.has_failed
+    assert found.in_words() == "FAILED: said 2"
+    assert verdict_of(findings[:2]).in_words() == "CHECK: said 1; cure"
+    assert not verdict_of(findings[:2]).has_failed
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.09, 1.11, 1.2, 3.0])
+def test_confidence_beyond_the_margin_is_symmetric_on_a_log_scale(factor: float):
+    above = beyond(Interval(factor, sqrt(factor), factor**2))
+    below = beyond(Interval(1 / factor, factor**-2, factor**-0.5))
+    expected = ("overconfident", "underconfident") if factor > 1.1 else ("", "")
+    assert (above, below) == expected
+    assert beyond(Interval(factor, 0.99, 9)) == beyond(Interval(1 / factor, 0.1, 1.01)) == ""
+    assert times_claimed(factor**-2).startswith(f"errors {factor:.3g} x")
+
+
+@pytest.mark.parametrize("entries", [1, 2, 3])
+@pytest.mark.parametrize("gate", [0.5, 3.84, 9.0])
+def test_the_mean_of_nis_behind_a_gate_is_that_of_the_cut_law(entries: int, gate: float):
+    scale = 2 ** (entries / 2) * gamma(entries / 2)
+    part, _ = integrate.quad(lambda q: q ** (entries / 2) * exp(-q / 2) / scale, 0, gate)
+    found = mean_behind_gate(np.array([[entries], [0]]), np.array([gate, np.inf]))
+    assert found[0, 0] == pytest.approx(part / stats.chi2(entries).cdf(gate) / entries)
+    assert found[0, 1] == 1 and (found[1] == 1).all()
+    if entries == 1:
+        inside = 2 * stats.norm.cdf(sqrt(gate)) - 1
+        edge = 2 * sqrt(gate) * exp(-gate / 2) / sqrt(2 * pi)
+        assert found[0, 0] == pytest.approx(1 - edge / inside)
+
+
 @pytest.mark.parametrize(
     ("nodes", "words"),
     [
@@ -150,3 +226,10 @@ def test_outages_are_told_with_their_nodes_steps_and_reason(nodes: tuple[int, ..
     assert asked == f"{words} out from step 40 to step 59, as asked"
     lost = NodeOutage(nodes, 7, None, False).in_words()
     assert lost == f"{words} out from step 7 to the end, lost: nothing asked for it"
+
+
+def test_the_part_outside_of_the_model_is_told_with_its_reasons():
+    shares = {"any": 0.25, "slow": 0.125, "sliding": 0.155, "still": 0.0}
+    said = outside_in_words(shares)
+    assert said == "; not judged: 25 % of the drive, outside the model (slow: 12 %, sliding: 16 %)"
+    assert outside_in_words(None) == outside_in_words({"any": 0.0, "slow": 0.0}) == ""

@@ -1,6 +1,7 @@
 """Whole networks of processes, played by threads: equal bits, changes, commands and real time."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,15 @@ from concord.nodes.messages import Estimate, Measured, Timing, Truth, decode
 from concord.nodes.tempo import Tempo
 from concord.results.records.trace import read_trace
 from concord.runtime.drivers import in_memory
-from concord.runtime.network.control_client import Client
+from concord.runtime.network import control_client
+from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.network.zenoh_transport import LinkError
 from concord.runtime.processes.job import Job
 from concord.runtime.recording import read_recording, recorded_origin
 from concord.scenarios.setup import Setup
 from concord.studies.agree import first_difference
 from tests.experiments.support import small
-from tests.runtime.networks_of_threads import NetworkOfThreads
+from tests.runtime.networks_of_threads import Hub, NetworkOfThreads, Wire
 
 LOCKSTEP = {
     "a hybrid bus, nodes that end and return, other rounds": small(
@@ -115,6 +118,28 @@ def test_a_client_steers_a_network_that_begins_paused_and_hears_what_is_recorded
     assert own == [0, 1, *range(joined, steps)]
     every = [one for one in recorded if one[0].startswith("estimate/")]
     assert heard and heard == every[: len(heard)]
+
+
+def test_where_nobody_answers_a_client_says_so(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(control_client, "_CONNECT_S", 0.05)
+    monkeypatch.setattr(control_client, "_HANDOVER_S", 0.05)
+    hub = Hub()
+    monkeypatch.setattr(control_client, "Transport", partial(Wire, hub))
+    with pytest.raises(NotThere, match="at tcp/a:1, tcp/b:2; has the run ended"):
+        Client(["tcp/a:1", "tcp/b:2"])
+    assert not hub.transports
+    client = Client(["tcp/a:1"], "known", "one.key")
+    with pytest.raises(NotThere, match="may these keys not"):
+        client.state()
+    assert client.handover() is None and client.events() == []
+    client.close()
+
+    def refuse(*_: object) -> Wire:
+        raise LinkError("no link")
+
+    monkeypatch.setattr(control_client, "Transport", refuse)
+    with pytest.raises(NotThere, match="no network answers at tcp/a:1"):
+        Client(["tcp/a:1"], "known")
 
 
 # Slow enough for a machine that does much beside.
