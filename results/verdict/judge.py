@@ -100,8 +100,8 @@ def judged_innovations(
     outside = outside_model(setup, heard.belief, counted)
     counted = counted & ~outside.steps
     mine, best = (
-        Innovations(*(where_counted(counted, part) for part in accepted(setup, one)))
-        for one in (own, heard.innovations)
+        one._replace(value=where_counted(counted, one.value), nis=where_counted(counted, one.nis))
+        for one in (accepted(setup, own), accepted(setup, heard.innovations))
     )
     figures, diagnosis = innovation_figures(setup, mine, best, outside.shares)
     nis, anees = (_interval_of(one, ESTIMATES_CONFIDENCE) for one in (nis_per_step(mine), nees))
