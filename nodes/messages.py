@@ -74,7 +74,7 @@ class CutShare(msgspec.Struct, frozen=True, omit_defaults=True):
 
     node: NodeIndex
     frames: Instant
-    urgency_class: Instant = 0
+    urgency_class: Group = 0
 
 
 CutShares = Annotated[list[CutShare], Meta(max_length=1 << 16)]

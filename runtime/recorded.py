@@ -7,7 +7,9 @@ belong to no node of the network, are kept as received and mean nothing.
 from typing import NamedTuple
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected
-from concord.nodes.messages import MalformedMessage, Message, decode, is_topic
+from concord.nodes.bounds import MAX_ROUNDS
+from concord.nodes.messages import Estimate, MalformedMessage, Message, Truth, decode, is_topic
+from concord.scenarios.setup import Setup
 
 
 class SharedFrame(NamedTuple):
@@ -41,3 +43,18 @@ def message_of(topic: str, data: bytes, nodes: int) -> Message | None:
         return decode(topic, data)
     except MalformedMessage:
         return None
+
+
+def fits(message: Message, setup: Setup) -> bool:
+    """Whether a truth or an estimate has the sizes of a network, and ages that its step allows."""
+    match message:
+        case Truth():
+            return len(message.state) == len(setup.initial_state)
+        case Estimate():
+            n, oldest = len(setup.prior_mean), (message.step + 1) * MAX_ROUNDS
+            return (
+                (len(message.mean), len(message.cov)) == (n, n * (n + 1) // 2)
+                and len(message.ages) <= setup.scenario.nodes
+                and all(-1 <= age <= oldest for age in message.ages)
+            )
+    return True

@@ -15,7 +15,7 @@ from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, aft
 from concord.dashboard.frames.reading_filters import ReadingFilters
 from concord.dashboard.frames.scores import fuse, score, with_errors
 from concord.dashboard.frames.stage import Stage, restaged
-from concord.dashboard.frames.told import StepContent, read_step
+from concord.dashboard.frames.told import StepContent, StepReader
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
 from concord.nodes.messages import Estimate, from_wire
@@ -98,6 +98,7 @@ class Assembler:
         self._events: list[LogEntry] = []
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
+        self._reader = StepReader(stage.setup, stage.bus.frame_format)
         self.filters = ReadingFilters(stage)
         self.filters.follow(self._network)
         self._own = None if stage.own is None else stage.own.begin(stage.setup)
@@ -127,7 +128,7 @@ class Assembler:
 
     def frame(self, step: WholeStep) -> StepFrame | None:
         """Return the frame of a step later than all before; none without a truth."""
-        told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
+        told = self._reader.read(step)
         late = self._last is not None and step.number <= self._last
         if told.truth is None or late:
             return None

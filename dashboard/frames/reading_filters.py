@@ -7,7 +7,7 @@ import numpy as np
 from concord.dashboard.frames.innovations import InnovationsTold, StepNis
 from concord.dashboard.frames.network import NetworkStatus
 from concord.dashboard.frames.stage import Stage
-from concord.dashboard.frames.told import StepContent, delivered, read_step
+from concord.dashboard.frames.told import StepContent, StepReader, delivered
 from concord.filters.gaussian import Gaussian
 from concord.runtime.whole_steps import WholeStep
 from concord.scenarios.baselines import BaselineContent, baseline_step, filters_step_by_step
@@ -37,9 +37,9 @@ class CentralisedFilter:
 
     def take_over(self, readings: Iterable[WholeStep]) -> Iterator[int]:
         """Take the readings of the steps before the first frame; yield the number of each."""
+        reader = StepReader(self._stage.setup, self._stage.bus.frame_format)
         for step in readings:
-            told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
-            self.add(step.number, told)
+            self.add(step.number, reader.read(step))
             yield step.number
 
     def add(self, number: int, told: StepContent) -> Gaussian | None:

@@ -7,15 +7,10 @@ import numpy as np
 
 from concord.bus.bus import FrameFormat, Rejected
 from concord.nodes.bounds import node_of
-from concord.nodes.messages import (
-    Estimate,
-    MalformedMessage,
-    Measured,
-    Truth,
-    decode,
-    from_wire,
-)
+from concord.nodes.messages import Estimate, Measured, Truth, from_wire
+from concord.runtime.recorded import fits, message_of
 from concord.runtime.whole_steps import WholeStep
+from concord.scenarios.setup import Setup
 
 
 @dataclass
@@ -30,26 +25,39 @@ class StepContent:
     frame_ids: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
-def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> StepContent:
-    """Return the content of a step, whose shares are such frames; ignore what is no message."""
-    told = StepContent()
-    for topic, data in step.messages:
-        kind, _, number = topic.partition("/")
-        if kind == "share":
-            _read_share(told, node_of(number, nodes), data, frames)
-            continue
-        try:
-            message = decode(topic, data)
-        except MalformedMessage:
-            continue
-        match message:
-            case Truth():
-                told.truth = message
-            case Measured():
-                told.measured[message.node] = message
-            case Estimate():
-                told.estimates[message.node] = message
-    return told
+class StepReader:
+    """Reads the steps of a run, whose shares are frames of a format; ignores what is no message of
+    this network, and readings of another shape than most of its first step have."""
+
+    def __init__(self, setup: Setup, frames: FrameFormat) -> None:
+        self._setup, self._frames = setup, frames
+        self._shape: tuple[int, ...] | None = None
+
+    def read(self, step: WholeStep) -> StepContent:
+        """Return the content of a step."""
+        told, nodes = StepContent(), self._setup.scenario.nodes
+        for topic, data in step.messages:
+            kind, _, number = topic.partition("/")
+            if kind == "share":
+                _read_share(told, node_of(number, nodes), data, self._frames)
+                continue
+            message = message_of(topic, data, nodes)
+            if message is None or not fits(message, self._setup):
+                continue
+            match message:
+                case Truth():
+                    told.truth = message
+                case Measured():
+                    told.measured[message.node] = message
+                case Estimate():
+                    told.estimates[message.node] = message
+                case _:
+                    pass
+        shapes = {i: from_wire(one.readings).shape for i, one in told.measured.items()}
+        if self._shape is None and shapes:
+            self._shape, _ = Counter(shapes.values()).most_common()[0]
+        told.measured = {i: one for i, one in told.measured.items() if shapes[i] == self._shape}
+        return told
 
 
 def delivered(told: StepContent, nodes: int) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -16,7 +16,7 @@ from concord.nodes.messages import (
 from concord.results.bus.bus_record import BusRecord
 from concord.results.records.extras import run_extras
 from concord.results.records.step_rows import StepRows
-from concord.runtime.recorded import SharedFrame, meaning
+from concord.runtime.recorded import SharedFrame, fits, meaning
 from concord.runtime.recording import DAMAGE
 from concord.scenarios.bus_table.bus_definition import frame_format
 from concord.scenarios.setup import Setup
@@ -69,11 +69,14 @@ class HeardMessages:
         nodes = self._setup.scenario.nodes
         if topic == DAMAGE:
             self.damaged_bytes += int(data)
-        match meaning(topic, data, nodes, self._frames):
+        said = meaning(topic, data, nodes, self._frames)
+        if not (said is None or isinstance(said, SharedFrame) or fits(said, self._setup)):
+            return
+        match said:
             case SharedFrame(node, fragment):
                 payload_bytes = len(data) - self._frames.overhead_bytes
                 self.on_bus.note_frame(node, fragment, payload_bytes)
-            case Truth() as message if len(message.state) == len(self._setup.initial_state):
+            case Truth() as message:
                 self.truths[message.step] = from_wire(message.state)
             case Bid() as message:
                 self.on_bus.note_bid(message)

@@ -118,12 +118,11 @@ class CanFdBus(IdentifiedBus):
     ) -> tuple[Transmission, ...]:
         """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one."""
         owners = self.schedule.static_senders(cycle)
+        asked = enumerate(zip_longest(payload_bytes, classes, fillvalue=0))
         ready = sorted(
-            (self.identifiers(node, cycle)[urgency_class], node, size)
-            for node, (size, urgency_class) in enumerate(
-                zip_longest(payload_bytes, classes, fillvalue=0)
-            )
-            if size
+            (identifiers[urgency_class], node, size)
+            for node, (size, urgency_class) in asked
+            if size and urgency_class < len(identifiers := self.identifiers(node, cycle))
         )
         sent: list[Transmission] = []
         now = Fraction(0)
