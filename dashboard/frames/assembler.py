@@ -129,8 +129,7 @@ class Assembler:
     def frame(self, step: WholeStep) -> StepFrame | None:
         """Return the frame of a step later than all before; none without a truth."""
         told = self._reader.read(step)
-        late = self._last is not None and step.number <= self._last
-        if told.truth is None or late:
+        if told.truth is None or (self._last is not None and step.number <= self._last):
             return None
         self._apply_changes(step.number)
         if self._last is not None and step.number > self._last + 1:

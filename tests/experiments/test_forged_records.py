@@ -32,7 +32,7 @@ _OTHERS = ([], True, "x", {}, [1.0], [None])
 
 
 def forged(said: Any, draw: random.Random) -> Any:
-    """What was said, with another value somewhere in it."""
+    """Return a message with another value somewhere in it."""
     if not isinstance(said, dict | list) or not said:
         return draw.choice((*_VALUES, *_OTHERS))
     copy = said.copy()

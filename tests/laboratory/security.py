@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -138,9 +139,11 @@ def _write(
     """Send, and return the session: one that ends takes along what has not left it."""
     # The subscriptions of the other sessions must arrive before the first message is sent. The
     # router hides them from some, who wait in vain.
-    matched = threading.Event()
-    intruder.listened(topics[0], lambda found: found and matched.set())
-    matched.wait(_JOIN_S)
+    matched: queue.Queue[bool] = queue.Queue()
+    intruder.listened(topics[0], matched.put)
+    with suppress(queue.Empty):
+        while not matched.get(timeout=_JOIN_S):
+            pass
     guarded.settle()
     for topic in topics:
         for _ in range(TRIES):
