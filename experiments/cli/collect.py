@@ -118,7 +118,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
                 )
             check_smoothing(description.setup)
         finish_recording(options.folder / RECORDING)
-        trace = read_run(options.folder, description, options.json)
+        trace = trace_with_progress(options.folder, description, options.json)
     figures = finish(
         options.folder,
         description,
@@ -131,7 +131,7 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     end_by(figures.verdict)
 
 
-def read_run(folder: Path, description: Description, as_json: bool) -> Trace:
+def trace_with_progress(folder: Path, description: Description, as_json: bool) -> Trace:
     """Return what a recording says; one that takes some time to read tells how far it is.
 
     Raises:

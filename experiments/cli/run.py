@@ -17,7 +17,7 @@ from concord.experiments.cli.collect import (
     ResultOptions,
     end_by,
     finish,
-    read_run,
+    trace_with_progress,
 )
 from concord.experiments.cli.help import FIRST
 from concord.experiments.page_options import LOOPBACK, check_place
@@ -112,7 +112,7 @@ def run(
         while True:
             pace = _watched(setup, output, description.run, folder, page)
             with user_errors():
-                trace = read_run(folder, description, output.json)
+                trace = trace_with_progress(folder, description, output.json)
             shown = FiguresForm(output.json, output.verbose)
             found = finish(folder, description, trace, pace, shown, captures, output.smooth)
             if not page.stay():
