@@ -7,7 +7,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -133,23 +132,15 @@ class _Guarded:
             session.close()
 
 
-def _write(
-    guarded: _Guarded, intruder: Transport, topics: tuple[str, ...], mark: bytes
-) -> Transport:
-    """Send, and return the session: one that ends takes along what has not left it."""
-    # The subscriptions of the other sessions must arrive before the first message is sent. The
-    # router hides them from some, who wait in vain.
-    matched: queue.Queue[bool] = queue.Queue()
-    intruder.listened(topics[0], matched.put)
-    with suppress(queue.Empty):
-        while not matched.get(timeout=_JOIN_S):
-            pass
+def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
+    intruder = guarded.join(keys)
+    # The subscriptions of the other sessions must arrive before the first message is sent.
     guarded.settle()
     for topic in topics:
         for _ in range(TRIES):
             intruder.send(topic, mark)
     guarded.settle()
-    return intruder
+    intruder.close()
 
 
 def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
@@ -170,13 +161,9 @@ def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
     marks = [str(number).encode() for number in range(len(plan))]
     marks[1] = b"1".ljust(MAX_FRAME_BYTES + 1)
     marks[2] = b"2".ljust(MAX_MESSAGE_BYTES + 1)
-    intruders = [
-        _write(guarded, guarded.join(guarded.keys(who)), topics, mark)
-        for (who, _, topics, _), mark in zip(plan, marks, strict=True)
-    ]
+    for (who, _, topics, _), mark in zip(plan, marks, strict=True):
+        _write_to(guarded, guarded.keys(who), topics, mark)
     counts = guarded.arrived()
-    for intruder in intruders:
-        intruder.close()
     attempts = []
     for (who, what, topics, wanted), mark in zip(plan, marks, strict=True):
         came = sum(counts.get((topic, mark), 0) for topic in topics)
@@ -194,8 +181,7 @@ def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     guarded.settle()
-    node = guarded.join(guarded.keys(certificate_name(0)))
-    _write(guarded, node, ("share/0",), b"heard")
+    _write_to(guarded, guarded.keys(certificate_name(0)), ("share/0",), b"heard")
     heard: queue.Queue[object] = queue.Queue()
 
     def listen() -> None:
@@ -205,7 +191,6 @@ def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     listening = threading.Thread(target=listen, daemon=True)
     listening.start()
     listening.join(_JOIN_S)
-    node.close()
     return [_attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)]
 
 
@@ -288,7 +273,9 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
         guest = enter()
     except LinkError:
         return 0
-    _write(guarded, guest, ("share/0",), b"guest")
+    guarded.settle()
+    for _ in range(TRIES):
+        guest.send("share/0", b"guest")
     came = guarded.arrived().get(("share/0", b"guest"), 0)
     guest.close()
     return came
