@@ -121,3 +121,12 @@ def test_far_readings_of_a_filter_that_believes_in_more_noise_are_no_outliers():
     test = channel_test(found[None], np.ones((1, 400)))
     assert test.far == 4 and test.nis.high < 1
     assert diagnose([(Channel(0, 0, 0, "angle", "rad"), test)]).cause is Cause.NOISE_TOO_LARGE
+
+
+@pytest.mark.parametrize("spread", [0.9, 1.0, 1.15])
+def test_the_p_of_a_spread_is_that_of_chi_square_on_both_sides(spread: float):
+    values = spread * np.random.default_rng(3).normal(size=(2, 150)) + 0.4
+    squares, freedoms = float(((values - values.mean()) ** 2).sum()), values.size - 1
+    law = stats.chi2(freedoms)
+    expected = 2 * min(law.cdf(squares), law.sf(squares))
+    assert channel_test(values, np.ones_like(values)).p_spread == pytest.approx(expected)

@@ -6,10 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from concord.results.figures.run_frame import without_bound
+from concord.results.figures.run_view import RunView
 from concord.results.figures.smoothed_errors import lagged, shown_lags, smoothed_errors
+from concord.results.figures.summary import summarise
+from concord.results.outages import outages_of
 from concord.results.records.netcdf_file import write_dataset
-from concord.results.records.runs import Runs, joined
+from concord.results.records.runs import Runs, joined, runs_of_trace
 from concord.results.records.runs_file import read_runs, runs_dataset, runs_of_dataset
+from concord.results.records.trace import read_trace
+from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.studies.monte_carlo.simulate import OPTIONAL, simulate
@@ -145,3 +151,28 @@ def test_lags_are_counted_back_from_each_step():
     lags = [shown_lags(n) for n in (1, 2, 3, 5, 9, 10, 12)]
     assert lags[:5] == [[0], [0, 1], [0, 1, 2], [0, 1, 2, 4], [0, 1, 2, 4, 8]]
     assert lags[5:] == [[0, 1, 2, 4, 8, 9], [0, 1, 2, 4, 8, 11]]
+
+
+def test_smoothed_figures_are_of_each_lag_in_order():
+    setup = small(nodes=3, steps=26, rule="labelled", smooth_steps=2)
+    runs = simulate(setup, NUMBERS, keep=OPTIONAL)
+    told = summarise(runs).details["smoothed"]
+    numbers, readings = runs.runs.tolist(), runs.readings
+    assert readings is not None
+    belief = centralised_of_runs(runs.setup, numbers, readings, runs.control, runs.prior_mean)
+    network, centre = RunView(runs, without_bound(belief)).smoothed or ((), ())
+    assert [one.lag for one in told] == [0, 1, 2]
+    for lag, one in enumerate(told):
+        assert one.rmse.value == pytest.approx(np.sqrt(np.mean(np.square(network)[:, lag])))
+        ratio = np.mean(np.square(network)[:, lag]) / np.mean(np.square(centre)[:, lag])
+        assert one.to_centralised.value == pytest.approx(np.sqrt(ratio))
+
+
+@pytest.mark.parametrize(
+    "changes", [("2 kill 1", "5 restart 1"), ("3 kill 0", "3 kill 2", "6 restart 2")]
+)
+def test_arrays_tell_the_outages_that_messages_tell(changes: tuple[str, ...]):
+    setup = small(nodes=4, steps=9, graph="complete", changes=changes)
+    recorded = runs_of_trace(setup, read_trace(setup, in_memory(setup)))
+    found = outages_of(simulate(setup, [setup.scenario.run]))
+    assert found == outages_of(recorded) and len(found) == len(changes) - 1
