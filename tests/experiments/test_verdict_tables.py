@@ -7,14 +7,16 @@ import pytest
 from scipy import integrate, stats
 
 from concord.results.figures.intervals import Interval
+from concord.results.innovations import gates as gates_module
 from concord.results.innovations.channel_test import ChannelTest
 from concord.results.innovations.diagnosis import Cause, Channel, Diagnosis
-from concord.results.innovations.gates import mean_behind_gate
+from concord.results.innovations.gates import accepted, mean_behind_gate
 from concord.results.outages import NodeOutage
 from concord.results.verdict.findings import Finding, VerdictLevel, beyond, verdict_of
 from concord.results.verdict.honesty import honesty, outside_in_words, times_claimed
+from concord.scenarios.innovations import Innovations
 from concord.scenarios.scenario_definition import Explanation
-from tests.experiments.support import scenario
+from tests.experiments.support import scenario, small
 
 ASKED = scenario(rule="ci")
 NOTHING = Explanation()
@@ -233,3 +235,21 @@ def test_the_part_outside_of_the_model_is_told_with_its_reasons():
     said = outside_in_words(shares)
     assert said == "; not judged: 25 % of the drive, outside the model (slow: 12 %, sliding: 16 %)"
     assert outside_in_words(None) == outside_in_words({"any": 0.0, "slow": 0.0}) == ""
+
+
+def test_what_a_gate_refuses_does_not_count_and_the_rest_follows_the_cut_law(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    gates = stats.chi2(1).ppf([0.9, 0.9, 0.9])
+    monkeypatch.setattr(gates_module, "gates_of", lambda _: gates)
+    rng = np.random.default_rng(4)
+    value = rng.normal(size=(1, 4000, 3, 1, 1))
+    found = Innovations(value, np.ones((*value.shape, 1)), value[..., 0] ** 2)
+    kept = accepted(small(nodes=3, steps=2), found)
+    refused = found.nis[..., 0] > gates
+    assert refused.mean() == pytest.approx(0.1, abs=0.01)
+    np.testing.assert_array_equal(np.isnan(kept.nis[..., 0]), refused)
+    np.testing.assert_array_equal(np.isnan(kept.value[..., 0, 0]), refused)
+    # 10,800 squares of variance 2 at most: five standard deviations are 0.07.
+    assert np.nanmean(kept.nis) == pytest.approx(1, abs=0.07)
+    np.testing.assert_allclose(kept.value[..., 0] ** 2 / kept.cov[..., 0, 0], kept.nis)

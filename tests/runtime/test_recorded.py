@@ -1,10 +1,14 @@
-"""Which recorded messages a network can have said, by their sizes and ages."""
+"""Messages that a network can have said, and the links that carry its frames."""
 
 import pytest
 
 from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.messages import Estimate, Truth
+from concord.runtime.drivers import in_memory
+from concord.runtime.in_process import run
 from concord.runtime.recorded import fits, message_of
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.build import build_environment, build_node
 from tests.experiments.support import small
 
 SETUP = small(nodes=3, steps=4)
@@ -40,3 +44,18 @@ def test_bytes_on_no_topic_of_the_network_mean_nothing():
     assert message_of("truth", words, 3) == Truth(0, [0.0])
     for topic in ("truth/0", "truths", "estimate/0", "estimate/3", "share/0", ""):
         assert message_of(topic, words, 3) is None
+
+
+def test_each_receiver_has_a_link_of_its_own():
+    asked: set[tuple[int, int]] = set()
+
+    def link(sender: int, receiver: int, frame: bytes) -> list[bytes]:
+        asked.add((sender, receiver))
+        return [frame]
+
+    setup, recorder = small(nodes=5, steps=2, graph="star"), MemoryRecorder()
+    nodes = [build_node(setup, node) for node in range(5)]
+    run(build_environment(setup), nodes, recorder, link=link)
+    expected = {(j, i) for i, heard in enumerate(setup.neighbours) for j in heard}
+    assert asked == expected
+    assert recorder.messages == in_memory(setup)
