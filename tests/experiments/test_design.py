@@ -29,7 +29,7 @@ from concord.studies.design.space import (
     placements_of,
     space_of,
 )
-from concord.studies.design.target import BusLimits, DesignTarget, error_of, parse_target
+from concord.studies.design.target import BusLimits, parse_target
 from concord.studies.sweep.pieces import Piece
 from concord.studies.sweep.specification import shown, specify
 from tests.experiments.command_support import concord
@@ -262,41 +262,6 @@ def test_the_printed_occupancy_is_that_of_the_candidate():
     assert len(space["occupancy"]) == 7
 
 
-@pytest.mark.parametrize(
-    ("text", "target"),
-    [
-        ("1.5x-centralised", DesignTarget(1.5, "centralised")),
-        ("2x-bound", DesignTarget(2.0, "bound")),
-        ("8", DesignTarget(8.0, "unit")),
-    ],
-)
-def test_targets_are_multiples_or_numbers(text: str, target: DesignTarget):
-    assert parse_target(text) == target
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("much", "must be a positive number"),
-        ("-3", "must be a positive number"),
-        ("nan", "must be a positive number"),
-        ("1.5x-centralized", "did you mean 'centralised'"),
-        ("0.9x-centralised", "no network is better"),
-    ],
-)
-def test_targets_that_are_none_are_refused(text: str, says: str):
-    with pytest.raises(ValueError, match=says):
-        parse_target(text)
-
-
-def test_the_error_is_measured_as_the_target_says():
-    figures = {"rmse": np.array([3.0, 3.0]), "rmse_centralised": np.array([2.0, 2.0]),
-               "bound_mean": np.array([1.5, 1.5])}  # fmt: skip
-    values = [error_of(DesignTarget(1, kind), figures, 0.9).value
-              for kind in ("centralised", "bound", "unit")]  # fmt: skip
-    assert values == [1.5, 2.0, 3.0]
-
-
 @pytest.mark.study
 def test_a_design_is_what_a_fresh_sweep_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     fields = ["--scenario", "oscillator", "--nodes", "4", "--steps", "30", "--graph", "ring,path",
@@ -373,18 +338,6 @@ def test_limits_refuse_candidates_with_the_limit_and_what_they_have():
     reasons = {one.reason for one in found.refused}
     assert "--latency-ms 2: it has 3" in reasons and "--load 0.3: it has 0.5" in reasons
     assert found.recommended is not None
-
-
-@pytest.mark.parametrize(
-    ("limits", "says"),
-    [
-        (BusLimits(latency_ms=0.0), "--latency-ms 0: must be above 0"),
-        (BusLimits(load=1.5), r"--load 1.5: must be in \(0, 1\]"),
-    ],
-)
-def test_limits_that_no_network_meets_are_refused(limits: BusLimits, says: str):
-    with pytest.raises(ValueError, match=says):
-        limits.check()
 
 
 def test_options_that_a_rule_has_not_make_no_second_candidate():

@@ -25,7 +25,9 @@ def test_a_target_is_a_number_or_a_multiple(text: str, target: DesignTarget):
         ("0.99x-centralised", "no network is better"),
         ("2x-centralized", "did you mean 'centralised'"),
         ("0", "positive number"),
+        ("much", "positive number"),
         ("-3", "positive number"),
+        ("nan", "positive number"),
         ("nanx-bound", "positive number"),
         ("x-bound", "positive number"),
     ],
@@ -38,8 +40,13 @@ def test_other_targets_are_refused(text: str, why: str):
 def test_limits_that_no_network_meets_are_refused():
     for sound in (BusLimits(), BusLimits(1e-6, 1.0), BusLimits(load=1e-6)):
         sound.check()
-    for latency_ms, load in ((0.0, None), (-1.0, 0.5), (None, 0.0), (None, 1.001)):
-        with pytest.raises(ValueError, match="must be"):
+    for latency_ms, load, why in (
+        (0.0, None, "--latency-ms 0: must be above 0"),
+        (-1.0, 0.5, "--latency-ms -1: must be above 0"),
+        (None, 0.0, r"--load 0: must be in \(0, 1\]"),
+        (None, 1.5, r"--load 1.5: must be in \(0, 1\]"),
+    ):
+        with pytest.raises(ValueError, match=why):
             BusLimits(latency_ms, load).check()
 
 
