@@ -15,6 +15,7 @@ NodeIndex = Annotated[int, Meta(ge=0, lt=1 << 16)]
 # Steps and cycles: a cycle number has four bytes in a frame.
 Instant = Annotated[int, Meta(ge=0, lt=1 << 32)]
 Group = Annotated[int, Meta(ge=0, lt=1 << 16)]
+UrgencyClass = Annotated[int, Meta(ge=0, lt=1 << 16)]
 # More rounds than this no step of a running network has.
 MAX_ROUNDS = 100
 NodeList = Annotated[list[NodeIndex], Meta(max_length=1 << 16)]

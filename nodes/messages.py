@@ -23,6 +23,7 @@ from concord.nodes.bounds import (
     NodeIndex,
     NodeList,
     NodeTuple,
+    UrgencyClass,
     node_of,
 )
 from concord.nodes.changes import Change, Event, Gone, Set, Welcome
@@ -74,7 +75,7 @@ class CutShare(msgspec.Struct, frozen=True, omit_defaults=True):
 
     node: NodeIndex
     frames: Instant
-    urgency_class: Group = 0
+    urgency_class: UrgencyClass = 0
 
 
 CutShares = Annotated[list[CutShare], Meta(max_length=1 << 16)]

@@ -45,7 +45,7 @@ def message_of(topic: str, data: bytes, nodes: int) -> Message | None:
         return None
 
 
-def fits(message: Message, setup: Setup) -> bool:
+def fits(message: Message | SharedFrame | None, setup: Setup) -> bool:
     """Whether a truth or an estimate has the sizes of a network, and ages that its step allows."""
     match message:
         case Truth():

@@ -42,7 +42,7 @@ class StepReader:
                 _read_share(told, node_of(number, nodes), data, self._frames)
                 continue
             message = message_of(topic, data, nodes)
-            if message is None or not fits(message, self._setup):
+            if not fits(message, self._setup):
                 continue
             match message:
                 case Truth():

@@ -66,8 +66,9 @@ CaptureCycles = Literal["used", "all"]
 """Cycles of the bus in a capture."""
 
 
-# Bits of a megabyte; a recording is long from about three seconds on.
-_MB, _LONG_MB = 20, 64
+_MB_BYTES = 1_000_000
+# To read a recording of this length takes about three seconds.
+_LONG_MB = 64
 
 
 class FiguresForm(NamedTuple):
@@ -137,11 +138,11 @@ def trace_with_progress(folder: Path, description: Description, as_json: bool) -
     Raises:
         ValueError: no step is complete.
     """
-    total = recording_of(folder).stat().st_size >> _MB
+    total = recording_of(folder).stat().st_size // _MB_BYTES
     if total < _LONG_MB:
         return completed(folder, description)
     with progress("MB of the recording", total, as_json=as_json) as on_mb:
-        trace = completed(folder, description, lambda read_bytes: on_mb(read_bytes >> _MB))
+        trace = completed(folder, description, lambda read_bytes: on_mb(read_bytes // _MB_BYTES))
         on_mb(total)
     return trace
 

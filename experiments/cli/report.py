@@ -177,13 +177,14 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
+    from concord.experiments.cli.collect import trace_with_progress
     from concord.results.figures.summary import summarise
     from concord.results.figures.summary_table import lines
     from concord.results.folder import BATCHED, WITHOUT_CODE, read_shown
     from concord.results.records.netcdf_file import ARRAYS
     from concord.results.records.runs import runs_of_trace
     from concord.results.records.runs_file import read_runs
-    from concord.results.run_results import as_it_ran, completed
+    from concord.results.run_results import as_it_ran
     from concord.scenarios.catalogue import is_received
 
     description = read_shown(folder)
@@ -192,7 +193,7 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     if description.driver == BATCHED:
         figures = summarise(*read_runs(folder / ARRAYS, description.setup))
     else:
-        trace = completed(folder, description)
+        trace = trace_with_progress(folder, description, False)
         figures = summarise(runs_of_trace(as_it_ran(description, trace).setup, trace))
     several = "Run" if figures.runs == 1 else f"{figures.runs} runs"
     unit = figures.unit

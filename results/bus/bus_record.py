@@ -1,6 +1,7 @@
 """The bus in the recording of a run: frames, requests and grants, message by message."""
 
 from array import array
+from hashlib import blake2b
 
 import numpy as np
 
@@ -10,6 +11,25 @@ from concord.nodes.messages import Bid, Grant
 
 # Rows are looked through for repeats when so many numbers are kept.
 _FIRST_LIMIT = 1 << 18
+
+
+class _Rows:
+    """Rows of whole numbers; one that came twice counts once."""
+
+    def __init__(self, width: int) -> None:
+        self._width, self._numbers, self._limit = width, array("q"), _FIRST_LIMIT
+
+    def add(self, *row: int) -> None:
+        """Keep a row."""
+        self._numbers.extend(row)
+        if len(self._numbers) > self._limit:
+            self._numbers = array("q", self.once().tobytes())
+            self._limit = max(_FIRST_LIMIT, 2 * len(self._numbers))
+
+    def once(self) -> np.ndarray:
+        """Return the different rows in ascending order, (rows, width)."""
+        rows = np.frombuffer(self._numbers, dtype=np.int64).reshape(-1, self._width)
+        return np.unique(rows, axis=0)
 
 
 class BusRecord:
@@ -32,7 +52,7 @@ class BusRecord:
         """Note a frame that a node sent."""
         if self._keeps_shares:
             self._fragments.append((node, fragment))
-        self._payload_bytes.add(fragment.cycle, node, payload_bytes, hash(fragment))
+        self._payload_bytes.add(fragment.cycle, node, payload_bytes, _digest(fragment))
 
     def note_bid(self, bid: Bid) -> None:
         """Note that a node asked for a slot, if it did."""
@@ -75,30 +95,17 @@ class BusRecord:
         """Return which node asked for a slot in complete steps, (steps, rounds, N)."""
         return self._said(self._asked, history, steps) > 0
 
-    def _said(self, rows: "_Rows", history: History, steps: int) -> np.ndarray:
+    def _said(self, rows: _Rows, history: History, steps: int) -> np.ndarray:
         found = np.zeros((steps, history.rounds, self._nodes), dtype=np.int64)
         places, numbers = _placed(rows.once(), history, steps)
         found[places] = numbers
         return found
 
 
-class _Rows:
-    """Rows of whole numbers; one that came twice counts once."""
-
-    def __init__(self, width: int) -> None:
-        self._width, self._numbers, self._limit = width, array("q"), _FIRST_LIMIT
-
-    def add(self, *row: int) -> None:
-        """Keep a row."""
-        self._numbers.extend(row)
-        if len(self._numbers) > self._limit:
-            self._numbers = array("q", self.once().tobytes())
-            self._limit = max(_FIRST_LIMIT, 2 * len(self._numbers))
-
-    def once(self) -> np.ndarray:
-        """Return the different rows in ascending order, (rows, width)."""
-        rows = np.frombuffer(self._numbers, dtype=np.int64).reshape(-1, self._width)
-        return np.unique(rows, axis=0)
+def _digest(fragment: Fragment) -> int:
+    """Return eight bytes that tell the frames of a node in a cycle apart."""
+    said = fragment.frame_id.to_bytes(8) + fragment.data
+    return int.from_bytes(blake2b(said, digest_size=8).digest(), signed=True)
 
 
 def _placed(

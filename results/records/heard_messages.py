@@ -70,7 +70,7 @@ class HeardMessages:
         if topic == DAMAGE:
             self.damaged_bytes += int(data)
         said = meaning(topic, data, nodes, self._frames)
-        if not (said is None or isinstance(said, SharedFrame) or fits(said, self._setup)):
+        if not fits(said, self._setup):
             return
         match said:
             case SharedFrame(node, fragment):

@@ -133,7 +133,7 @@ def _assemble(setup: Setup, history: History, steps: int, heard: HeardMessages) 
         control=_control([heard.controls.get(k) for k in range(steps)]),
         mean=mean,
         cov=unpack_upper(read("cov", rows)),
-        ages=_ages(setup, history, read("ages", rows)),
+        ages=_ages(setup, history, there, read("ages", rows)),
         payload_bytes=on_bus.payload_bytes(history, steps),
         asked=on_bus.asked(history, steps),
         classes=on_bus.classes(history, steps),
@@ -154,9 +154,10 @@ def _assemble(setup: Setup, history: History, steps: int, heard: HeardMessages) 
     )
 
 
-def _ages(setup: Setup, history: History, told: np.ndarray) -> np.ndarray:
-    """Return the ages (steps, N, N) that nodes tell of their neighbours, (steps, N, at most N)."""
-    steps, nodes = told.shape[:2]
+def _ages(setup: Setup, history: History, there: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return the ages (steps, N, N) that nodes which are `there` (steps, N) tell of their
+    neighbours, (steps, N, at most N)."""
+    steps, nodes = there.shape
     ages = np.full((steps, nodes, nodes), -1)
     ends = (*(epoch.first_step for epoch in history.epochs[1:]), steps)
     for epoch, end in zip(history.epochs, ends, strict=True):
@@ -164,9 +165,8 @@ def _ages(setup: Setup, history: History, told: np.ndarray) -> np.ndarray:
         for i, j in enumerate(neighbours):
             of_node = told[epoch.first_step : end, i, : len(j)]
             ages[epoch.first_step : end, i, j] = np.nan_to_num(of_node, nan=-1)
-    is_in = history.presence(steps, nodes)
     for i in range(nodes):
-        ages[is_in[:, i], i, i] = 0
+        ages[there[:, i], i, i] = 0
     return ages
 
 
